@@ -1,0 +1,8 @@
+//! The laws of light: pure functions of wavelength, temperature, size and index.
+
+pub mod band;
+pub mod fuel;
+pub mod mie;
+pub mod phase;
+pub mod planck;
+pub mod window;

@@ -1,0 +1,8 @@
+//! From a spray (CFD parcels and cells, or a shape) to coefficients that the tracer understands.
+
+pub mod compact;
+pub mod deposit;
+pub mod field;
+pub mod file;
+pub mod import;
+pub mod optics;

@@ -1,0 +1,16 @@
+//! `ditd calibrate`.
+
+use super::{CommandError, CommandResult};
+
+/// Arguments of `ditd calibrate`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// As [`CommandError`] says.
+pub fn run(_args: Args) -> CommandResult {
+    Err(CommandError::failure("calibrate: not there yet"))
+}

@@ -1,0 +1,16 @@
+//! `ditd fit`.
+
+use super::{CommandError, CommandResult};
+
+/// Arguments of `ditd fit`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// As [`CommandError`] says.
+pub fn run(_args: Args) -> CommandResult {
+    Err(CommandError::failure("fit: not there yet"))
+}

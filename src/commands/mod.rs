@@ -1,0 +1,38 @@
+//! The subcommands of `ditd`, one room each. Thin: they read arguments, call the library, print.
+
+pub mod calibrate;
+pub mod check;
+pub mod fit;
+pub mod import;
+pub mod mie;
+pub mod planck;
+pub mod render;
+pub mod replay;
+pub mod run;
+pub mod safe;
+
+/// Why a command ended without success, with the exit status of the contract: 1 failure, 2 usage or config,
+/// 3 device missing, 4 interlock or limit, 5 data integrity, 6 paused, 130 interrupted after a safe state.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct CommandError {
+    /// The process's exit status.
+    pub code: u8,
+    /// Who, doing what, why, what to try.
+    pub message: String,
+}
+
+impl CommandError {
+    /// Status 1: it did not work.
+    pub fn failure(message: impl Into<String>) -> Self {
+        Self { code: 1, message: message.into() }
+    }
+
+    /// Status 2: the request itself is wrong.
+    pub fn usage(message: impl Into<String>) -> Self {
+        Self { code: 2, message: message.into() }
+    }
+}
+
+/// What a command returns.
+pub type CommandResult = Result<(), CommandError>;

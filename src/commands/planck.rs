@@ -1,0 +1,16 @@
+//! `ditd planck`.
+
+use super::{CommandError, CommandResult};
+
+/// Arguments of `ditd planck`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// As [`CommandError`] says.
+pub fn run(_args: Args) -> CommandResult {
+    Err(CommandError::failure("planck: not there yet"))
+}

@@ -1,0 +1,16 @@
+//! `ditd replay`.
+
+use super::{CommandError, CommandResult};
+
+/// Arguments of `ditd replay`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// As [`CommandError`] says.
+pub fn run(_args: Args) -> CommandResult {
+    Err(CommandError::failure("replay: not there yet"))
+}

@@ -1,0 +1,16 @@
+//! `ditd safe`.
+
+use super::{CommandError, CommandResult};
+
+/// Arguments of `ditd safe`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// As [`CommandError`] says.
+pub fn run(_args: Args) -> CommandResult {
+    Err(CommandError::failure("safe: not there yet"))
+}

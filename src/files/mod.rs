@@ -1,0 +1,1 @@
+//! File formats of results: NPY, NPZ, EXR, TIFF, PNG.

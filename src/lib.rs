@@ -1,0 +1,14 @@
+//! How an experiment is run and read.
+//!
+//! In reading order: what the user asks for, what will be done, doing it, the record of it, what the record
+//! says, and how it is shown. Data goes right, only commands go left.
+
+pub mod campaign;
+pub mod commands;
+pub mod config;
+pub mod estimate;
+pub mod files;
+pub mod journal;
+pub mod plan;
+pub mod report;
+pub mod stack;

@@ -1,0 +1,60 @@
+//! The `ditd` program: parses the command line, runs one command, turns its end into an exit status.
+
+use clap::Parser;
+use ditd::commands;
+use std::process::ExitCode;
+
+/// Differential infrared thermography of fuel sprays: runs the campaign, fits the map, keeps the record.
+#[derive(Debug, Parser)]
+#[command(name = "ditd", version, about, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Run a campaign on a real or simulated rig, up to the maps and the report
+    Run(commands::run::Args),
+    /// Validate a config and print its plan, time, bytes and limits; touches no instrument
+    Check(commands::check::Args),
+    /// Feed a recorded run through the live path again and compare the results byte for byte
+    Replay(commands::replay::Args),
+    /// Acquire a calibration with the same engine, without injector
+    Calibrate(commands::calibrate::Args),
+    /// Bring the rig to its safe state
+    Safe(commands::safe::Args),
+    /// Refit a run folder or a stack of recorded frames
+    Fit(commands::fit::Args),
+    /// Ray-trace a scene
+    Render(commands::render::Args),
+    /// Mie scattering of spheres: tables in, tables out
+    Mie(commands::mie::Args),
+    /// Planck's law: tables in, tables out
+    Planck(commands::planck::Args),
+    /// Read a CFD spray and print its totals
+    Import(commands::import::Args),
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let ended = match cli.command {
+        Command::Run(args) => commands::run::run(args),
+        Command::Check(args) => commands::check::run(args),
+        Command::Replay(args) => commands::replay::run(args),
+        Command::Calibrate(args) => commands::calibrate::run(args),
+        Command::Safe(args) => commands::safe::run(args),
+        Command::Fit(args) => commands::fit::run(args),
+        Command::Render(args) => commands::render::run(args),
+        Command::Mie(args) => commands::mie::run(args),
+        Command::Planck(args) => commands::planck::run(args),
+        Command::Import(args) => commands::import::run(args),
+    };
+    match ended {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("ditd: {error}");
+            ExitCode::from(error.code)
+        }
+    }
+}
