@@ -4,6 +4,11 @@ pub mod calibrate;
 pub mod check;
 pub mod fit;
 pub mod import;
+
+use crate::config::Config;
+use crate::samples::{self, Source};
+use std::io::Write;
+use std::path::Path;
 pub mod mie;
 pub mod planck;
 pub mod render;
@@ -31,6 +36,23 @@ impl CommandError {
     /// Status 2: the request itself is wrong.
     pub fn usage(message: impl Into<String>) -> Self {
         Self { code: 2, message: message.into() }
+    }
+}
+
+/// Reads and checks a campaign file.
+fn load(path: &Path) -> Result<(Source, Config), CommandError> {
+    let source = samples::open(path).map_err(CommandError::usage)?;
+    let config = Config::parse(&source.name, &source.text).map_err(|error| CommandError::usage(error.to_string()))?;
+    Ok((source, config))
+}
+
+/// Writes to standard output; a reader that has gone away is no failure.
+fn print(text: &str) -> CommandResult {
+    match std::io::stdout().lock().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(CommandError::failure(format!("standard output: {error}")))
+        }
+        _ => Ok(()),
     }
 }
 

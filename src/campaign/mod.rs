@@ -1,0 +1,684 @@
+//! Runs a plan on instruments: soak, arm, collect, label, check, retake; and ends in the safe state, always.
+//!
+//! The only room that commands instruments. It judges no picture: what counts is whether the frames of a cycle
+//! are all there and lie where the trigger unit put them.
+
+mod matching;
+mod recorder;
+mod stop;
+
+pub use recorder::{RecordError, Recorder, crc_of};
+pub use stop::{StopFlag, Wish};
+
+use crate::config::Config;
+use crate::journal::{CycleCount, JOURNAL_SCHEMA, Record};
+use crate::plan::{LevelPlan, Plan, Purpose};
+use crate::soak::{Judge, Verdict};
+use ditd_drivers::error::DriverError;
+use ditd_drivers::instrument::{
+    Calibrator, CalibratorSettings, Camera, CameraSettings, Frame, PlateReading, ShotProgram, TriggerUnit,
+};
+use ditd_drivers::quantity::{Kelvin, KelvinDelta};
+use matching::Matcher;
+use std::panic::AssertUnwindSafe;
+use std::time::Duration;
+use tokio::time::{Instant, sleep};
+
+/// Added to the planned time of a frame before it counts as missing: read-out, transport, and the time between
+/// the trigger unit's start and its confirmation (two commands of 10 ms, 9520 manual).
+const FRAME_MARGIN: Duration = Duration::from_millis(1500);
+
+/// The stop wish is looked at this often while waiting.
+const WISH_POLL: Duration = Duration::from_millis(250);
+
+/// Cycles in a row without a single frame after which the trigger or the camera is taken for dead.
+const SILENT_CYCLES_MAX: u32 = 2;
+
+/// Where an interrupted soak or a plate that leaves its band is soaked again, at most this often per level.
+const RESOAKS_MAX: u32 = 5;
+
+/// The instruments of a rig.
+pub struct Instruments {
+    /// Black-body plate.
+    pub plate: Box<dyn Calibrator>,
+    /// Trigger unit.
+    pub trigger: Box<dyn TriggerUnit>,
+    /// Infrared camera.
+    pub camera: Box<dyn Camera>,
+}
+
+impl std::fmt::Debug for Instruments {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Instruments")
+    }
+}
+
+/// Why a campaign did not reach its end.
+#[derive(Debug, thiserror::Error)]
+pub enum CampaignError {
+    /// An instrument.
+    #[error(transparent)]
+    Driver(#[from] DriverError),
+    /// The record.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The plate did not settle.
+    #[error(
+        "plate calibrator: level {level} ({target_k:.2} K) has not settled in {waited_s:.0} s: {reason}. \
+         Compare [soak] with what the instrument can hold, and look for draughts."
+    )]
+    NotSettled {
+        /// Level number from 1.
+        level: u32,
+        /// Set-point in K.
+        target_k: f64,
+        /// Time waited in s.
+        waited_s: f64,
+        /// What was missing.
+        reason: String,
+    },
+    /// No frame came at all.
+    #[error(
+        "camera and trigger unit: no frame in {cycles} cycles of level {level}; the trigger unit says that it is {state}. \
+         Check the trigger cable, the camera's trigger input and that the camera is armed."
+    )]
+    NoFrames {
+        /// Level number from 1.
+        level: u32,
+        /// Silent cycles.
+        cycles: u32,
+        /// Running or not.
+        state: &'static str,
+    },
+    /// Too many cycles had to be taken again.
+    #[error(
+        "level {level}: {rejected} cycles were rejected, more than the {allowed} that may be taken again; the last because {reason}. \
+         Nothing was mislabelled; check camera, network and plate, then `ditd resume`."
+    )]
+    TooManyRetakes {
+        /// Level number from 1.
+        level: u32,
+        /// Rejected cycles.
+        rejected: u32,
+        /// The limit.
+        allowed: u32,
+        /// Why the last one was rejected.
+        reason: String,
+    },
+    /// The calibrator's protection has acted.
+    #[error("plate calibrator: its cutout has tripped at {apparent_k:.1} K. Find out why before clearing it at the instrument.")]
+    Tripped {
+        /// Display in K.
+        apparent_k: f64,
+    },
+    /// A value of the world is outside a limit of the plan.
+    #[error("plate calibrator: {reading_k:.1} K is above the limit of {limit_k:.1} K. The plate is being cooled.")]
+    TooHot {
+        /// Display in K.
+        reading_k: f64,
+        /// Limit in K.
+        limit_k: f64,
+    },
+    /// A mistake of ours inside the engine.
+    #[error("the campaign engine stopped on a broken assumption ({0}); the rig was brought to its safe state. Please report it.")]
+    Internal(String),
+}
+
+impl CampaignError {
+    /// The process's exit status that stands for it.
+    pub fn code(&self) -> u8 {
+        match self {
+            Self::Driver(error) if error.is_interlock_or_limit() => 4,
+            Self::Driver(error) if error.is_missing_device() => 3,
+            Self::NoFrames { .. } => 3,
+            Self::Tripped { .. } | Self::TooHot { .. } => 4,
+            Self::TooManyRetakes { .. } => 5,
+            Self::Driver(_) | Self::Record(_) | Self::NotSettled { .. } | Self::Internal(_) => 1,
+        }
+    }
+}
+
+/// How a campaign ended when nothing went wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ended {
+    /// All of the plan is done.
+    Done,
+    /// Paused after a cycle on the operator's wish.
+    Paused,
+    /// Stopped at once on the operator's wish.
+    Stopped,
+}
+
+/// The end of a campaign, in the safe state as far as the instruments could be reached.
+#[derive(Debug)]
+pub struct Outcome {
+    /// How it ended.
+    pub ended: Result<Ended, CampaignError>,
+    /// What went wrong on the way to the safe state; empty when it was reached.
+    pub unsafe_because: Vec<DriverError>,
+    /// The account of cycles.
+    pub cycles: CycleCount,
+}
+
+/// What the operator sees while it runs.
+pub trait Progress {
+    /// Cycles done of cycles planned, and the estimated remaining time of the whole in s.
+    fn cycle(&mut self, done: u32, planned: u32, eta_s: f64);
+    /// Why nothing happens just now.
+    fn waiting(&mut self, reason: &str, eta_s: Option<f64>);
+    /// Something worth a line.
+    fn note(&mut self, text: &str);
+    /// A level is complete: a chance to show the provisional map.
+    fn level_done(&mut self, _recorder: &Recorder) {}
+}
+
+/// Everything a campaign needs.
+pub struct Engine<'a> {
+    /// The campaign file.
+    pub config: &'a Config,
+    /// The plan.
+    pub plan: &'a Plan,
+    /// The instruments.
+    pub instruments: &'a mut Instruments,
+    /// The record.
+    pub recorder: &'a mut Recorder,
+    /// The display.
+    pub progress: &'a mut dyn Progress,
+    /// The operator's wish.
+    pub stop: StopFlag,
+    /// Zero of the journal's time.
+    pub started: Instant,
+    /// Added to the journal's time when a run is resumed, in ns.
+    pub elapsed_before_ns: u64,
+}
+
+enum Interrupt {
+    Wish(Wish),
+    Error(CampaignError),
+}
+
+impl<E: Into<CampaignError>> From<E> for Interrupt {
+    fn from(error: E) -> Self {
+        Self::Error(error.into())
+    }
+}
+
+type Step<T> = Result<T, Interrupt>;
+
+/// What became of one cycle.
+enum Collected {
+    Complete,
+    Rejected { reason: String, frames: u32 },
+}
+
+impl Engine<'_> {
+    /// Runs the plan to its end, to a wish, or to trouble; the safe state comes last, whatever happened.
+    pub async fn run(mut self, header: Option<Record>) -> Outcome {
+        let acquired = {
+            let mut acquire = Box::pin(self.acquire(header));
+            // A panic inside must not leave a hot plate and an armed injector behind.
+            std::future::poll_fn(move |context| {
+                match std::panic::catch_unwind(AssertUnwindSafe(|| acquire.as_mut().poll(context))) {
+                    Ok(poll) => poll,
+                    Err(panic) => {
+                        let words = panic
+                            .downcast_ref::<String>()
+                            .map(String::as_str)
+                            .or_else(|| panic.downcast_ref::<&str>().copied())
+                            .unwrap_or("no words");
+                        std::task::Poll::Ready(Err(Interrupt::Error(CampaignError::Internal(words.to_owned()))))
+                    }
+                }
+            })
+            .await
+        };
+        let ended = match acquired {
+            Ok(()) => Ok(Ended::Done),
+            Err(Interrupt::Wish(Wish::Stop)) => Ok(Ended::Stopped),
+            Err(Interrupt::Wish(_)) => Ok(Ended::Paused),
+            Err(Interrupt::Error(error)) => Err(error),
+        };
+        self.progress.waiting("bringing the rig to its safe state", None);
+        let _ = self.note(Record::Intent { act: "safe state".to_owned(), level: None });
+        let unsafe_because = safe_state(self.instruments).await;
+        if unsafe_because.is_empty() {
+            let _ = self.note(Record::Done { act: "safe state".to_owned(), level: None });
+        }
+        let cycles = self.account(&ended);
+        let status = match &ended {
+            Ok(Ended::Done) => "done",
+            Ok(Ended::Paused) => "paused",
+            Ok(Ended::Stopped) => "aborted",
+            Err(_) => "failed",
+        };
+        let mut trouble: Vec<String> = ended.as_ref().err().map(ToString::to_string).into_iter().collect();
+        trouble.extend(unsafe_because.iter().map(|error| format!("safe state not confirmed: {error}")));
+        let trouble = (!trouble.is_empty()).then(|| trouble.join("; "));
+        let stop = self
+            .note(Record::Stop { status: status.to_owned(), trouble, cycles })
+            .and_then(|()| Ok(self.recorder.close()?));
+        let ended = match (ended, stop) {
+            (Ok(_), Err(error)) => Err(error),
+            (ended, _) => ended,
+        };
+        Outcome { ended, unsafe_because, cycles }
+    }
+
+    async fn acquire(&mut self, header: Option<Record>) -> Step<()> {
+        if let Some(header) = header {
+            self.note(header)?;
+        }
+        self.prepare().await?;
+        for (index, level) in self.plan.levels.iter().enumerate() {
+            let number = u32::try_from(index).expect("levels are few");
+            self.level(number, level).await?;
+        }
+        Ok(())
+    }
+
+    async fn prepare(&mut self) -> Step<()> {
+        self.progress.waiting("asking the instruments who they are", None);
+        let identity = self.instruments.trigger.identify().await?;
+        self.note(Record::Identity { instrument: "trigger".to_owned(), identity })?;
+        // Whatever an earlier run left behind: no pulse from here on but ours.
+        self.instruments.trigger.make_safe().await?;
+        let identity = self.instruments.plate.identify().await?;
+        self.note(Record::Identity { instrument: "plate".to_owned(), identity })?;
+        let identity = self.instruments.camera.identify().await?;
+        self.note(Record::Identity { instrument: "camera".to_owned(), identity })?;
+        self.instruments.plate.prepare(&calibrator_settings(self.config)).await?;
+        let wanted = camera_settings(self.config);
+        let taken = self.instruments.camera.prepare(&wanted).await?;
+        if taken != wanted {
+            return Err(Interrupt::Error(CampaignError::Driver(DriverError::Refused {
+                who: format!("camera at {}", self.config.camera.address),
+                doing: "setting region, integration time and depth".to_owned(),
+                why: format!("asked for {wanted:?}, took {taken:?}"),
+                hint: "Write what the camera can do into [camera].".to_owned(),
+            })));
+        }
+        Ok(())
+    }
+
+    async fn level(&mut self, number: u32, level: &LevelPlan) -> Step<()> {
+        let index = number as usize;
+        let map = self.plan.purpose == Purpose::Map;
+        if map && self.recorder.reduced().missing(index) == 0 {
+            return Ok(());
+        }
+        let mut settled = self.soak(number, level.set_point_k).await?;
+        let mut resoaks = 0;
+        if level.shutter_reference {
+            let shutter = self.instruments.camera.shutter(true).await?;
+            let burst = self.burst(number, &level.program, 1, shutter).await;
+            self.instruments.camera.shutter(false).await?;
+            burst?;
+        }
+        loop {
+            let missing = if map {
+                self.recorder.reduced().missing(index)
+            } else {
+                1 - self.recorder.reduced().levels[index].accepted.min(1)
+            };
+            if missing == 0 {
+                break;
+            }
+            if !settled {
+                resoaks += 1;
+                if resoaks > RESOAKS_MAX {
+                    return Err(Interrupt::Error(self.too_many_retakes(number)));
+                }
+                self.soak(number, level.set_point_k).await?;
+            }
+            settled = self.burst(number, &level.program, missing, None).await?;
+        }
+        self.progress.level_done(self.recorder);
+        Ok(())
+    }
+
+    /// Sets the plate and waits until it is really settled; always true, so that callers can keep a flag.
+    async fn soak(&mut self, level: u32, target_k: f64) -> Step<bool> {
+        let act = format!("set the plate to {target_k:.3} K");
+        self.note(Record::Intent { act: act.clone(), level: Some(level) })?;
+        let taken = self.instruments.plate.set_point(Kelvin(target_k)).await?;
+        self.note(Record::Done { act, level: Some(level) })?;
+        let begun = Instant::now();
+        let mut judge = Judge::new(taken.0, &self.config.soak);
+        loop {
+            self.heed(Wish::Pause)?;
+            let reading = self.read_plate(level).await?;
+            let now_s = begun.elapsed().as_secs_f64();
+            match judge.push(now_s, reading.apparent.0) {
+                Verdict::Settled => {
+                    self.note(Record::Settled { level, reading, waited_s: now_s })?;
+                    return Ok(true);
+                }
+                Verdict::Waiting { reason, eta_s } => {
+                    let text = format!("level {}: {reason}", level + 1);
+                    self.progress.waiting(&text, eta_s);
+                }
+                Verdict::GivenUp { reason } => {
+                    return Err(Interrupt::Error(CampaignError::NotSettled {
+                        level: level + 1,
+                        target_k,
+                        waited_s: now_s,
+                        reason,
+                    }));
+                }
+            }
+            sleep(Duration::from_secs_f64(self.config.soak.poll_s)).await;
+        }
+    }
+
+    /// Takes `cycles` cycles in one burst of the trigger unit. False when the plate left its band and has to be
+    /// soaked again before more cycles are taken.
+    async fn burst(
+        &mut self,
+        level: u32,
+        planned: &ShotProgram,
+        cycles: u32,
+        shutter: Option<Kelvin>,
+    ) -> Step<bool> {
+        let program = ShotProgram { cycles, ..planned.clone() };
+        let program = self.instruments.trigger.program(&program).await?;
+        let first_cycle = self.recorder.reduced().levels[level as usize].next_cycle;
+        let shutter_k = shutter.map(|kelvin| kelvin.0);
+        self.note(Record::Burst { level, program: program.clone(), first_cycle, shutter_k })?;
+        self.note(Record::Intent { act: "start the trigger clock".to_owned(), level: Some(level) })?;
+        self.instruments.camera.start().await?;
+        let begun = Instant::now();
+        self.instruments.trigger.start().await?;
+        self.note(Record::Done { act: "start the trigger clock".to_owned(), level: Some(level) })?;
+        let outcome = self.collect_burst(level, &program, first_cycle, shutter.is_some(), begun).await;
+        // Even after trouble or a wish the clock must stand before anything else is commanded.
+        let stopped = self.instruments.trigger.stop().await;
+        let camera = self.instruments.camera.stop().await;
+        let in_band = outcome?;
+        stopped?;
+        camera?;
+        Ok(in_band)
+    }
+
+    async fn collect_burst(
+        &mut self,
+        level: u32,
+        program: &ShotProgram,
+        first_cycle: u32,
+        shutter: bool,
+        begun: Instant,
+    ) -> Step<bool> {
+        let mut matcher = Matcher::new(program.clone());
+        let mut carry: Option<Frame> = None;
+        let mut silent = 0;
+        for cycle in 0..program.cycles {
+            let number = first_cycle + cycle;
+            self.note(Record::Intent { act: format!("cycle {number}"), level: Some(level) })?;
+            let collected = self
+                .collect_cycle(level, program, cycle, number, shutter, begun, &mut matcher, &mut carry)
+                .await?;
+            let reading = self.read_plate(level).await?;
+            let target = self.plan.levels[level as usize].set_point_k;
+            let off = (reading.apparent.0 - target).abs();
+            // `!(off <= …)` also catches a reading that is not a number.
+            let in_band = off <= self.config.soak.band_k;
+            matcher.collected(matches!(collected, Collected::Complete));
+            match collected {
+                Collected::Complete if in_band => {
+                    silent = 0;
+                    self.note(Record::CycleAccepted { level, cycle: number, reading })?;
+                    self.show_cycle(level);
+                }
+                Collected::Complete => {
+                    let reason = format!(
+                        "the plate read {:.2} K, outside {target:.2} ± {:.2} K",
+                        reading.apparent.0, self.config.soak.band_k
+                    );
+                    self.reject(level, number, reason)?;
+                    return Ok(false);
+                }
+                Collected::Rejected { reason, frames } => {
+                    silent = if frames == 0 { silent + 1 } else { 0 };
+                    self.reject(level, number, reason)?;
+                    if silent >= SILENT_CYCLES_MAX || (silent > 0 && program.cycles == 1) {
+                        let running = self.instruments.trigger.running().await?;
+                        let state = if running { "running" } else { "stopped" };
+                        return Err(Interrupt::Error(CampaignError::NoFrames {
+                            level: level + 1,
+                            cycles: silent,
+                            state,
+                        }));
+                    }
+                }
+            }
+            self.heed(Wish::Pause)?;
+        }
+        Ok(true)
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one cycle's whole context; a struct would live for this call only")]
+    async fn collect_cycle(
+        &mut self,
+        level: u32,
+        program: &ShotProgram,
+        cycle: u32,
+        number: u32,
+        shutter: bool,
+        begun: Instant,
+        matcher: &mut Matcher,
+        carry: &mut Option<Frame>,
+    ) -> Step<Collected> {
+        let wanted = program.frames_per_cycle();
+        let mut due = 0u32;
+        let mut last_id: Option<u64> = None;
+        let mut received = 0u32;
+        let mut trouble: Option<String> = None;
+        while due < wanted {
+            let frame = match carry.take() {
+                Some(frame) => Some(frame),
+                None => {
+                    let planned = Duration::from_nanos(
+                        program.frame_ns(cycle, due) + program.camera_delay_ns + program.camera_width_ns,
+                    );
+                    self.await_frame(begun + planned + FRAME_MARGIN, level, cycle, due, program).await?
+                }
+            };
+            let Some(frame) = frame else {
+                trouble.get_or_insert(format!("frame {} of {wanted} did not come", due + 1));
+                due += 1;
+                continue;
+            };
+            received += 1;
+            let place = match matcher.place(frame.device_ns, cycle) {
+                Ok(place) => place,
+                Err(why) => {
+                    trouble.get_or_insert(format!("frame number {}: {why}", frame.id));
+                    continue;
+                }
+            };
+            if place.cycle > cycle {
+                *carry = Some(frame);
+                received -= 1;
+                trouble.get_or_insert(format!("frame {} of {wanted} did not come", due + 1));
+                break;
+            }
+            if place.cycle < cycle || place.position < due {
+                trouble.get_or_insert(format!("frame number {} came twice or late", frame.id));
+                continue;
+            }
+            if place.position > due {
+                trouble.get_or_insert(format!("frame {} of {wanted} did not come", due + 1));
+            }
+            if last_id.is_some_and(|last| frame.id != last + u64::from(place.position - due) + 1) {
+                trouble.get_or_insert(format!("the camera's frame number jumped to {}", frame.id));
+            }
+            if !frame.complete {
+                trouble.get_or_insert(format!("frame number {} is incomplete", frame.id));
+            }
+            last_id = Some(frame.id);
+            due = place.position + 1;
+            let shot = program.kind_at(place.position).expect("positions were checked by the matcher");
+            let t_ns = self.now_ns();
+            self.recorder.frame(t_ns, level, number, place.position, shot, shutter, &frame)?;
+        }
+        Ok(match trouble {
+            None => Collected::Complete,
+            Some(reason) => Collected::Rejected { reason, frames: received },
+        })
+    }
+
+    /// The next frame, or `None` when it is not there at `deadline`.
+    async fn await_frame(
+        &mut self,
+        deadline: Instant,
+        level: u32,
+        cycle: u32,
+        due: u32,
+        program: &ShotProgram,
+    ) -> Step<Option<Frame>> {
+        loop {
+            self.heed(Wish::Stop)?;
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            if due == 0 && left > FRAME_MARGIN {
+                let reason = format!(
+                    "level {}: cycle {} of {}: pause, residual vapour is flushed out",
+                    level + 1,
+                    cycle + 1,
+                    program.cycles
+                );
+                self.progress.waiting(&reason, Some((left - FRAME_MARGIN).as_secs_f64()));
+            }
+            match self.instruments.camera.frame(left.min(WISH_POLL)).await {
+                Ok(frame) => return Ok(Some(frame)),
+                Err(DriverError::Silent { .. }) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+
+    async fn read_plate(&mut self, level: u32) -> Step<PlateReading> {
+        let reading = self.instruments.plate.read().await?;
+        let t_ns = self.now_ns();
+        self.recorder.reading(t_ns, level, &reading)?;
+        if reading.tripped {
+            return Err(Interrupt::Error(CampaignError::Tripped { apparent_k: reading.apparent.0 }));
+        }
+        // Overshoot of some kelvin is what controllers do; a plate that runs away is not.
+        let limit_k = self.config.plate.limit_k + OVERSHOOT_ALLOWED_K;
+        if reading.apparent.0 > limit_k || reading.block.0 > limit_k {
+            return Err(Interrupt::Error(CampaignError::TooHot {
+                reading_k: reading.apparent.0.max(reading.block.0),
+                limit_k,
+            }));
+        }
+        Ok(reading)
+    }
+
+    fn reject(&mut self, level: u32, cycle: u32, reason: String) -> Step<()> {
+        self.progress.note(&format!("level {}, cycle {cycle} is taken again: {reason}", level + 1));
+        self.note(Record::CycleRejected { level, cycle, reason })?;
+        let rejected = self.recorder.reduced().levels[level as usize].rejected.len();
+        if rejected > self.plan.retakes_max as usize {
+            return Err(Interrupt::Error(self.too_many_retakes(level)));
+        }
+        Ok(())
+    }
+
+    fn too_many_retakes(&self, level: u32) -> CampaignError {
+        let rejected = &self.recorder.reduced().levels[level as usize].rejected;
+        CampaignError::TooManyRetakes {
+            level: level + 1,
+            rejected: u32::try_from(rejected.len()).unwrap_or(u32::MAX),
+            allowed: self.plan.retakes_max,
+            reason: rejected.last().map_or_else(|| "the plate left its band".to_owned(), |(_, why)| why.clone()),
+        }
+    }
+
+    /// Returns the wish as an interrupt when it is at least `from`.
+    fn heed(&self, from: Wish) -> Step<()> {
+        let wish = self.stop.wish();
+        if wish >= from { Err(Interrupt::Wish(wish)) } else { Ok(()) }
+    }
+
+    fn show_cycle(&mut self, level: u32) {
+        let reduced = self.recorder.reduced();
+        let done: u32 = reduced.levels.iter().map(|state| state.accepted).sum();
+        let planned: u32 = self.plan.levels.iter().map(|level| level.program.cycles).sum();
+        let here = reduced.missing(level as usize);
+        let mut eta_s = f64::from(here) * self.plan.levels[level as usize].program.cycle_ns() as f64 * 1e-9;
+        for later in self.plan.levels.iter().skip(level as usize + 1) {
+            eta_s += later.program.burst_ns() as f64 * 1e-9 + 600.0;
+        }
+        self.progress.cycle(done, planned, eta_s);
+    }
+
+    fn account(&self, ended: &Result<Ended, CampaignError>) -> CycleCount {
+        let reduced = self.recorder.reduced();
+        let planned = self.plan.levels.iter().map(|level| level.program.cycles).sum();
+        let accepted = reduced.levels.iter().map(|state| state.accepted).sum();
+        let retaken = reduced.levels.iter().map(|state| state.rejected.len()).sum::<usize>();
+        let lost = if matches!(ended, Ok(Ended::Done | Ended::Paused)) { 0 } else { planned - accepted };
+        CycleCount { planned, accepted, retaken: u32::try_from(retaken).unwrap_or(u32::MAX), lost }
+    }
+
+    fn note(&mut self, record: Record) -> Result<(), CampaignError> {
+        let t_ns = self.now_ns();
+        Ok(self.recorder.record(t_ns, record)?)
+    }
+
+    fn now_ns(&self) -> u64 {
+        self.elapsed_before_ns + u64::try_from(self.started.elapsed().as_nanos()).unwrap_or(u64::MAX)
+    }
+}
+
+/// Above `plate.limit_k` by more than this a reading stops the campaign: the 4181's overshoot is a few kelvin.
+const OVERSHOOT_ALLOWED_K: f64 = 10.0;
+
+/// Injector channel off, trigger clock off, camera off, plate to its minimum: in this order, each tried even if
+/// an earlier one could not be reached. Returns what could not be confirmed.
+pub async fn safe_state(instruments: &mut Instruments) -> Vec<DriverError> {
+    let mut trouble = Vec::new();
+    if let Err(error) = instruments.trigger.make_safe().await {
+        trouble.push(error);
+    }
+    if let Err(error) = instruments.camera.make_safe().await {
+        trouble.push(error);
+    }
+    if let Err(error) = instruments.plate.make_safe().await {
+        trouble.push(error);
+    }
+    trouble
+}
+
+/// What the calibrator is told.
+pub fn calibrator_settings(config: &Config) -> CalibratorSettings {
+    CalibratorSettings {
+        display_emissivity: config.plate.display_emissivity,
+        limit: Kelvin(config.plate.limit_k),
+        rate_k_per_min: config.plate.rate_k_per_min,
+        stability: KelvinDelta(config.plate.stability_k),
+    }
+}
+
+/// What the camera is told.
+pub fn camera_settings(config: &Config) -> CameraSettings {
+    CameraSettings {
+        rows: config.camera.rows,
+        columns: config.camera.columns,
+        integration_s: config.camera.integration_s,
+        bits: config.camera.bits,
+    }
+}
+
+/// The first record of a run.
+pub fn header(plan: &Plan, utc: String, config_sha256: String) -> Record {
+    Record::Start {
+        schema: JOURNAL_SCHEMA,
+        program: concat!("ditd ", env!("CARGO_PKG_VERSION")).to_owned(),
+        utc,
+        config_sha256,
+        plan: plan.clone(),
+    }
+}

@@ -1,0 +1,209 @@
+//! Limits and impossible combinations of a campaign file. Pure.
+
+use super::{Config, Pace};
+
+/// Something that cannot be done as written.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Problem {
+    /// The key, as `table.key`.
+    pub key: &'static str,
+    /// What is wrong and what would be right.
+    pub message: String,
+}
+
+/// Everything that is wrong with a config whose keys are all known.
+pub(super) fn problems(config: &Config) -> Vec<Problem> {
+    let mut found = Vec::new();
+    campaign(config, &mut found);
+    soak(config, &mut found);
+    instruments(config, &mut found);
+    optics(config, &mut found);
+    found
+}
+
+fn require(found: &mut Vec<Problem>, holds: bool, key: &'static str, message: impl FnOnce() -> String) {
+    if !holds {
+        found.push(Problem { key, message: message() });
+    }
+}
+
+fn positive(found: &mut Vec<Problem>, value: f64, key: &'static str, unit: &str) {
+    require(found, value.is_finite() && value > 0.0, key, || {
+        format!("must be a positive number of {unit}, found {value}")
+    });
+}
+
+fn campaign(config: &Config, found: &mut Vec<Problem>) {
+    let c = &config.campaign;
+    let mut distinct = c.levels_k.clone();
+    distinct.sort_by(f64::total_cmp);
+    distinct.dedup();
+    require(found, distinct.len() >= 2, "campaign.levels_k", || {
+        "a line needs at least two different plate temperatures".to_owned()
+    });
+    for level in &c.levels_k {
+        // 418x manual: the 4181 goes from 35 °C; the 4180 down to −15 °C.
+        require(found, (258.0..=773.15).contains(level), "campaign.levels_k", || {
+            format!("{level} K is outside 258 … 773 K (temperatures are in kelvin)")
+        });
+        require(found, *level <= config.plate.limit_k, "campaign.levels_k", || {
+            format!("{level} K is above plate.limit_k = {} K", config.plate.limit_k)
+        });
+    }
+    require(found, c.cycles >= 1, "campaign.cycles", || "at least one cycle a level".to_owned());
+    require(found, (1..=1000).contains(&c.blanks), "campaign.blanks", || {
+        format!("between 1 and 1000 blank frames a cycle, found {}", c.blanks)
+    });
+    require(found, c.warm_up <= 1000, "campaign.warm_up", || {
+        format!("at most 1000 discarded frames a cycle, found {}", c.warm_up)
+    });
+    positive(found, c.frame_period_s, "campaign.frame_period_s", "seconds");
+    positive(found, c.pause_s, "campaign.pause_s", "seconds");
+    let busy = config.camera.integration_s + config.camera.readout_s;
+    require(found, c.frame_period_s >= busy, "campaign.frame_period_s", || {
+        format!("{} s is shorter than exposure plus read-out ({busy} s): frames would overlap", c.frame_period_s)
+    });
+    let between = f64::from(c.warm_up + c.blanks + 1) * c.frame_period_s + c.pause_s;
+    require(found, between >= config.trigger.injection_interval_limit_s, "campaign.pause_s", || {
+        format!(
+            "injections would be {between:.3} s apart; trigger.injection_interval_limit_s allows {} s at least",
+            config.trigger.injection_interval_limit_s
+        )
+    });
+    require(found, between / c.frame_period_s * f64::from(c.cycles) < 9_999_999.0, "campaign.cycles", || {
+        "cycles · (frames + pause) / frame_period exceeds 9999999 clock pulses, the trigger unit's longest burst"
+            .to_owned()
+    });
+    require(found, c.epoch.parse::<jiff::Timestamp>().is_ok(), "campaign.epoch", || {
+        format!("must be an RFC 3339 time such as 2026-01-01T00:00:00Z, found {:?}", c.epoch)
+    });
+    require(found, !(c.pace == Pace::Real && config.rig.is_none()) || config.rig.is_none(), "campaign.pace", || {
+        "a real rig has only one pace".to_owned()
+    });
+}
+
+fn soak(config: &Config, found: &mut Vec<Problem>) {
+    let s = &config.soak;
+    positive(found, s.band_k, "soak.band_k", "kelvin");
+    positive(found, s.hold_s, "soak.hold_s", "seconds");
+    positive(found, s.slope_limit_k_per_min, "soak.slope_limit_k_per_min", "kelvin per minute");
+    positive(found, s.poll_s, "soak.poll_s", "seconds");
+    positive(found, s.stale_s, "soak.stale_s", "seconds");
+    positive(found, s.timeout_s, "soak.timeout_s", "seconds");
+    require(found, s.hold_s >= 3.0 * s.poll_s, "soak.hold_s", || {
+        format!("must hold at least three readings (3 × poll_s = {} s)", 3.0 * s.poll_s)
+    });
+    require(found, s.timeout_s > s.hold_s, "soak.timeout_s", || {
+        format!("{} s would end before the hold time of {} s is over", s.timeout_s, s.hold_s)
+    });
+}
+
+fn instruments(config: &Config, found: &mut Vec<Problem>) {
+    let simulated = config.rig.is_some();
+    for (key, address) in [
+        ("plate.address", &config.plate.address),
+        ("trigger.address", &config.trigger.address),
+        ("camera.address", &config.camera.address),
+    ] {
+        require(found, address != "sim" || simulated, key, || {
+            "`sim` needs a [rig] table that describes the simulated world".to_owned()
+        });
+    }
+    require(found, config.plate.driver == "fluke_418x", "plate.driver", || {
+        format!("unknown driver {:?}; there is: fluke_418x", config.plate.driver)
+    });
+    require(found, config.trigger.driver == "quantum_9520", "trigger.driver", || {
+        format!("unknown driver {:?}; there is: quantum_9520", config.trigger.driver)
+    });
+    require(found, config.camera.driver == "sim", "camera.driver", || {
+        format!("unknown driver {:?}; there is: sim (the simulated camera)", config.camera.driver)
+    });
+    require(found, config.monitors.is_empty(), "monitor.driver", || {
+        "no monitor drivers are built in yet: remove the [[monitor]] tables".to_owned()
+    });
+    require(found, (258.0..=773.15).contains(&config.plate.limit_k), "plate.limit_k", || {
+        format!("must lie between 258 and 773 K, found {}", config.plate.limit_k)
+    });
+    require(found, (0.9..=1.0).contains(&config.plate.display_emissivity), "plate.display_emissivity", || {
+        "the display's emissivity setting goes from 0.90 to 1.00".to_owned()
+    });
+    positive(found, config.plate.rate_k_per_min, "plate.rate_k_per_min", "kelvin per minute");
+    positive(found, config.plate.stability_k, "plate.stability_k", "kelvin");
+    let t = &config.trigger;
+    positive(found, t.injection_s, "trigger.injection_s", "seconds");
+    positive(found, t.injection_limit_s, "trigger.injection_limit_s", "seconds");
+    require(found, t.injection_s <= t.injection_limit_s, "trigger.injection_s", || {
+        format!("{} s is longer than trigger.injection_limit_s = {} s", t.injection_s, t.injection_limit_s)
+    });
+    require(
+        found,
+        t.exposure_delay_s >= 0.0
+            && t.exposure_delay_s + config.camera.integration_s + config.camera.readout_s
+                <= config.campaign.frame_period_s,
+        "trigger.exposure_delay_s",
+        || "exposure and read-out must end before the next clock pulse (campaign.frame_period_s)".to_owned(),
+    );
+    let c = &config.camera;
+    require(found, c.rows >= 1 && c.columns >= 1, "camera.rows", || "at least one pixel".to_owned());
+    require(found, (8..=16).contains(&c.bits), "camera.bits", || format!("8 to 16 bits, found {}", c.bits));
+    require(
+        found,
+        u32::from(c.saturation_count) < (1u32 << c.bits.clamp(8, 16)),
+        "camera.saturation_count",
+        || {
+            format!(
+                "{} can never be reached with {} bits; the largest count is {}",
+                c.saturation_count,
+                c.bits,
+                (1u32 << c.bits.clamp(8, 16)) - 1
+            )
+        },
+    );
+    positive(found, c.integration_s, "camera.integration_s", "seconds");
+    require(found, c.readout_s >= 0.0, "camera.readout_s", || "must not be negative".to_owned());
+    positive(found, c.electrons_per_count, "camera.electrons_per_count", "electrons");
+    require(found, c.read_noise_counts >= 0.0, "camera.read_noise_counts", || "must not be negative".to_owned());
+}
+
+fn optics(config: &Config, found: &mut Vec<Problem>) {
+    let o = &config.optics;
+    for (key, value) in [
+        ("optics.gamma_near", o.gamma_near),
+        ("optics.gamma_far", o.gamma_far),
+        ("optics.emissivity_plate", o.emissivity_plate),
+    ] {
+        require(found, value > 0.0 && value <= 1.0, key, || format!("must lie in (0, 1], found {value}"));
+    }
+    require(found, (0.0..1.0).contains(&o.reflectance_far), "optics.reflectance_far", || {
+        format!("must lie in [0, 1), found {}", o.reflectance_far)
+    });
+    require(found, o.gamma_far + o.reflectance_far <= 1.0 + 1e-9, "optics.reflectance_far", || {
+        "transmittance and reflectance of a window add up to at most 1".to_owned()
+    });
+    positive(found, o.wall_temperature_k, "optics.wall_temperature_k", "kelvin");
+    require(found, o.calibration != "measure" || config.calibration.is_some(), "optics.calibration", || {
+        "\"measure\" needs a [calibration] table with its levels".to_owned()
+    });
+    require(
+        found,
+        ["default", "paper", "ols"].contains(&config.fit.estimator.as_str()),
+        "fit.estimator",
+        || format!("unknown estimator {:?}; there are: default, paper, ols", config.fit.estimator),
+    );
+    if let Some(calibration) = &config.calibration {
+        require(found, calibration.levels_k.len() >= 4, "calibration.levels_k", || {
+            "the curve has three parameters and an offset: at least four levels".to_owned()
+        });
+        for level in &calibration.levels_k {
+            require(found, *level <= config.plate.limit_k && *level >= 258.0, "calibration.levels_k", || {
+                format!("{level} K is outside 258 K … plate.limit_k = {} K", config.plate.limit_k)
+            });
+        }
+        require(found, calibration.frames >= 2, "calibration.frames", || "at least two frames".to_owned());
+    }
+    if let Some(target) = &config.target {
+        require(found, (0.0..1.0).contains(&target.emissivity_min), "target.emissivity_min", || {
+            "must lie in [0, 1)".to_owned()
+        });
+    }
+}

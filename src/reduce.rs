@@ -1,0 +1,249 @@
+//! Folds the journal's records into what the fit needs. A live run and a replay call exactly this.
+//!
+//! Knows where frames are only through a [`FrameSource`]; reads no clock and no instrument.
+
+use crate::estimate::accumulate::Sums;
+use crate::journal::Record;
+use crate::plan::{Plan, Purpose};
+use ditd_drivers::instrument::ShotKind;
+use std::sync::Arc;
+
+/// Gives the counts of a recorded frame.
+pub trait FrameSource {
+    /// The frame `index` of `file` (below the run folder), whose bytes have the CRC-32 `crc32`.
+    ///
+    /// # Errors
+    ///
+    /// Words that say what is wrong with the file.
+    fn load(&mut self, file: &str, index: u64, crc32: u32) -> Result<Arc<[u16]>, String>;
+}
+
+/// A record that contradicts the ones before it, or a frame that cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("record of the run: {0}. The run folder is damaged or was changed: restore it from a copy.")]
+pub struct ReduceError(pub String);
+
+/// What is known of one level.
+#[derive(Debug, Clone, Default)]
+pub struct LevelState {
+    /// Accepted cycles.
+    pub accepted: u32,
+    /// Rejected cycles with their reasons.
+    pub rejected: Vec<(u32, String)>,
+    /// Apparent plate temperature at each accepted cycle, in K.
+    pub plate_k: Vec<f64>,
+    /// Camera time stamps of the accepted spray frames, in ns (for telemetry and the report).
+    pub spray_ns: Vec<u64>,
+    /// The next unused cycle number.
+    pub next_cycle: u32,
+}
+
+impl LevelState {
+    /// Mean apparent plate temperature at the accepted cycles, in K; `None` without any.
+    pub fn plate_mean_k(&self) -> Option<f64> {
+        let n = self.plate_k.len();
+        (n > 0).then(|| self.plate_k.iter().sum::<f64>() / n as f64)
+    }
+}
+
+/// Sums of frames of the bare plate and of the shutter, for the standard curve.
+#[derive(Debug, Clone)]
+pub struct CurveSums {
+    /// Per level: sum of counts per pixel, plate.
+    pub plate: Vec<Vec<u64>>,
+    /// Per level: frames in `plate`.
+    pub plate_frames: Vec<u32>,
+    /// Per level: sum of counts per pixel, shutter closed.
+    pub shutter: Vec<Vec<u64>>,
+    /// Per level: frames in `shutter`.
+    pub shutter_frames: Vec<u32>,
+    /// Temperature of the shutter at each level, in K.
+    pub shutter_k: Vec<Option<f64>>,
+}
+
+/// What the records add up to.
+#[derive(Debug, Clone)]
+pub enum Total {
+    /// Sums of a measuring campaign.
+    Map(Box<Sums>),
+    /// Sums of a calibration.
+    Curve(CurveSums),
+}
+
+#[derive(Debug, Clone)]
+struct FrameRef {
+    cycle: u32,
+    position: u32,
+    shot: ShotKind,
+    device_ns: u64,
+    file: String,
+    index: u64,
+    crc32: u32,
+}
+
+/// The state of a run as its records tell it.
+#[derive(Debug, Clone)]
+pub struct Reduced {
+    /// The plan of the run.
+    pub plan: Plan,
+    /// Per level of the plan.
+    pub levels: Vec<LevelState>,
+    /// The sums.
+    pub total: Total,
+    pending: Vec<FrameRef>,
+    shutter_k: Option<f64>,
+    pixels: usize,
+}
+
+impl Reduced {
+    /// Nothing yet, for a plan and frames of `rows` × `columns` pixels that saturate at `saturation_count`.
+    pub fn new(plan: Plan, rows: usize, columns: usize, saturation_count: u16) -> Self {
+        let levels = plan.levels.len();
+        let pixels = rows * columns;
+        let total = match plan.purpose {
+            Purpose::Map => {
+                let blanks = plan.levels.first().map_or(1, |level| level.program.blanks);
+                Total::Map(Box::new(Sums::new(levels, rows, columns, blanks, saturation_count)))
+            }
+            Purpose::StandardCurve => Total::Curve(CurveSums {
+                plate: vec![vec![0; pixels]; levels],
+                plate_frames: vec![0; levels],
+                shutter: vec![vec![0; pixels]; levels],
+                shutter_frames: vec![0; levels],
+                shutter_k: vec![None; levels],
+            }),
+        };
+        Self { plan, levels: vec![LevelState::default(); levels], total, pending: Vec::new(), shutter_k: None, pixels }
+    }
+
+    /// Takes the next record.
+    ///
+    /// # Errors
+    ///
+    /// [`ReduceError`] when the record does not fit the ones before it or a frame cannot be read.
+    pub fn apply(&mut self, record: &Record, frames: &mut dyn FrameSource) -> Result<(), ReduceError> {
+        match record {
+            Record::Burst { shutter_k, .. } => {
+                self.pending.clear();
+                self.shutter_k = *shutter_k;
+            }
+            Record::Frame { cycle, position, shot, device_ns, file, index, crc32, .. } => {
+                self.pending.push(FrameRef {
+                    cycle: *cycle,
+                    position: *position,
+                    shot: *shot,
+                    device_ns: *device_ns,
+                    file: file.clone(),
+                    index: *index,
+                    crc32: *crc32,
+                });
+            }
+            Record::CycleAccepted { level, cycle, reading } => {
+                let index = self.level_index(*level)?;
+                self.add_cycle(index, *cycle, frames)?;
+                let state = &mut self.levels[index];
+                if self.shutter_k.is_none() {
+                    state.accepted += 1;
+                    state.plate_k.push(reading.apparent.0);
+                }
+                state.next_cycle = state.next_cycle.max(cycle + 1);
+            }
+            Record::CycleRejected { level, cycle, reason } => {
+                let index = self.level_index(*level)?;
+                self.pending.retain(|frame| frame.cycle != *cycle);
+                let state = &mut self.levels[index];
+                state.rejected.push((*cycle, reason.clone()));
+                state.next_cycle = state.next_cycle.max(cycle + 1);
+            }
+            Record::Start { .. }
+            | Record::Identity { .. }
+            | Record::Intent { .. }
+            | Record::Done { .. }
+            | Record::Settled { .. }
+            | Record::Stop { .. } => {}
+        }
+        Ok(())
+    }
+
+    /// Cycles that the plan asks for at a level and that are not accepted yet.
+    pub fn missing(&self, level: usize) -> u32 {
+        self.plan.levels[level].program.cycles.saturating_sub(self.levels[level].accepted)
+    }
+
+    fn level_index(&self, level: u32) -> Result<usize, ReduceError> {
+        let index = level as usize;
+        if index < self.levels.len() {
+            Ok(index)
+        } else {
+            Err(ReduceError(format!("level {level} where the plan has {}", self.levels.len())))
+        }
+    }
+
+    fn add_cycle(
+        &mut self,
+        level: usize,
+        cycle: u32,
+        frames: &mut dyn FrameSource,
+    ) -> Result<(), ReduceError> {
+        let mut mine: Vec<FrameRef> = Vec::new();
+        self.pending.retain(|frame| {
+            if frame.cycle == cycle {
+                mine.push(frame.clone());
+            }
+            frame.cycle != cycle
+        });
+        mine.sort_by_key(|frame| frame.position);
+        let program = &self.plan.levels[level].program;
+        let wanted = (program.blanks + 1) as usize;
+        let in_order = mine.iter().enumerate().all(|(i, frame)| {
+            frame.position as usize == program.warm_up as usize + i
+                && program.kind_at(frame.position) == Some(frame.shot)
+        });
+        if mine.len() != wanted || !in_order {
+            return Err(ReduceError(format!(
+                "level {level}, cycle {cycle} was accepted with {} frames where {wanted} in order were due",
+                mine.len()
+            )));
+        }
+        let mut counts = Vec::with_capacity(wanted);
+        for frame in &mine {
+            let picture = frames
+                .load(&frame.file, frame.index, frame.crc32)
+                .map_err(|why| ReduceError(format!("level {level}, cycle {cycle}: {why}")))?;
+            if picture.len() != self.pixels {
+                return Err(ReduceError(format!(
+                    "level {level}, cycle {cycle}: a frame has {} pixels where {} were due",
+                    picture.len(),
+                    self.pixels
+                )));
+            }
+            counts.push(picture);
+        }
+        if let Some(last) = mine.last() {
+            self.levels[level].spray_ns.push(last.device_ns);
+        }
+        match &mut self.total {
+            Total::Map(sums) => {
+                let (spray, blanks) = counts.split_last().expect("blanks + 1 frames were checked above");
+                let blanks: Vec<&[u16]> = blanks.iter().map(|frame| &frame[..]).collect();
+                sums.add_cycle(level, &blanks, spray);
+            }
+            Total::Curve(curve) => {
+                let (sums, frames_so_far) = match self.shutter_k {
+                    Some(kelvin) => {
+                        curve.shutter_k[level] = Some(kelvin);
+                        (&mut curve.shutter[level], &mut curve.shutter_frames[level])
+                    }
+                    None => (&mut curve.plate[level], &mut curve.plate_frames[level]),
+                };
+                for frame in &counts {
+                    for (sum, count) in sums.iter_mut().zip(frame.iter()) {
+                        *sum += u64::from(*count);
+                    }
+                }
+                *frames_so_far += program.blanks + 1;
+            }
+        }
+        Ok(())
+    }
+}
