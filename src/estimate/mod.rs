@@ -1,1 +1,12 @@
 //! From sums of counts to emissivity and temperature. Pure: no files, no clock, no instruments.
+//!
+//! In reading order: exact sums per pixel and level, the camera's curve, the line of one pixel, the weights of our
+//! own estimator, quantiles of Student's t, the map, and the gate that finds shots without a spray.
+
+pub mod accumulate;
+pub mod calibration;
+pub mod gate;
+pub mod law;
+pub mod line;
+pub mod map;
+pub mod student;
