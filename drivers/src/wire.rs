@@ -567,7 +567,8 @@ mod tests {
                     Err(_) => late += 1,
                 }
             }
-            assert!(good > 500 && late > 50, "{good} good, {late} late");
+            // Not a matter of luck: at least every second question gets its own answer.
+            assert!(good > 360 && late > 50, "{good} good, {late} late at {delay_ms} ms");
         }
     }
 
