@@ -1,8 +1,11 @@
 //! The laws of light: pure functions of wavelength, temperature, size and index.
 
 pub mod band;
+pub mod complex;
 pub mod fuel;
 pub mod mie;
 pub mod phase;
 pub mod planck;
+pub mod quadrature;
+pub mod table;
 pub mod window;
