@@ -172,15 +172,20 @@ impl<const L: usize> Spheres<L> {
         let m_inverse = self.m.recip();
         let one_less_m = Cplx { re: self.m.re.map(|n| 1.0 - n), im: -self.m.im };
         // (1 − m)(1 + m)/(m² x), ((m − 1)/m).
-        let step = (one_less_m * (one + self.m) * m_inverse * m_inverse).scale(x_inverse);
+        let mut step = one_less_m * (one + self.m) * m_inverse * m_inverse;
+        // Im(1/m²) = −2nk/|m|⁴ by itself: beside a real part of about −1 it would lose digits for large k.
+        let square = m_inverse.norm_sqr();
+        step.im = -(self.m.re * square * (self.m.im * square)) * 2.0;
+        let step = step.scale(x_inverse);
         let shrink = Cplx { re: -one_less_m.re, im: -one_less_m.im } * m_inverse;
 
         let (sine, cosine) = (self.x.map(f64::sin), self.x.map(f64::cos));
         let (psi_0, psi_1_direct) = (sine, sine * x_inverse - cosine);
-        // From the larger of ψ₀ and ψ₁, so that a zero of one of them does no harm.
+        // From the larger of ψ₀ and ψ₁, so that a zero of one of them does no harm; below x = 1 it is ψ₀.
         let psi_1_up = psi_0 * ratios[0].outside;
         let mut psi = Real(from_fn(|i| {
-            if psi_0.0[i].abs() >= psi_1_direct.0[i].abs() { psi_1_up.0[i] } else { psi_1_direct.0[i] }
+            let up = self.x.0[i] < 1.0 || psi_0.0[i].abs() >= psi_1_direct.0[i].abs();
+            if up { psi_1_up.0[i] } else { psi_1_direct.0[i] }
         }));
         let mut chi = cosine * x_inverse + sine;
         let mut chi_below = cosine;
@@ -306,9 +311,14 @@ mod tests {
         for (sphere, wanted, id) in reference() {
             let found = in_order(find(sphere));
             for (column, ((wanted, condition), found)) in wanted.into_iter().zip(found).enumerate() {
-                let allowed = 2.2e-16 * (64.0 + 8.0 * condition + sphere.size_parameter) * wanted.abs();
+                let mut allowed = 2.2e-16 * (64.0 + 8.0 * condition + sphere.size_parameter) * wanted.abs();
+                if column == 3 {
+                    // Backscatter is the square of an alternating sum S with |S| = x √q and Σ|terms| ≤ 2x²
+                    // (large x): its relative error is that of the terms times 2 Σ|terms| / |S|.
+                    allowed *= 1.0 + 4.0 * sphere.size_parameter / wanted.sqrt();
+                }
                 let error = (found - wanted).abs();
-                if allowed > 0.0 && column != 3 {
+                if allowed > 0.0 {
                     worst = worst.max(error / allowed);
                 }
                 if error > allowed {
