@@ -3,19 +3,20 @@
 //! In reading order: what the user asks for, what will be done, doing it, the record of it, what the record
 //! says, and how it is shown. Data goes right, only commands go left.
 
+pub mod config;
+pub mod samples;
+pub mod plan;
 pub mod soak;
 pub mod campaign;
-pub mod commands;
-pub mod samples;
-pub mod config;
-pub mod estimate;
-pub mod files;
 pub mod journal;
+pub mod run_folder;
 pub mod reduce;
 pub mod calibrate;
-pub mod run_folder;
-pub mod plan;
+pub mod estimate;
+pub mod fitting;
+pub mod stack;
+pub mod files;
 pub mod report;
 pub mod console;
 pub mod interrupt;
-pub mod stack;
+pub mod commands;

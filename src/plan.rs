@@ -120,7 +120,7 @@ impl Plan {
             cost.soak_s += soak_time_s(plate_k, level.set_point_k, config);
             plate_k = level.set_point_k;
             let p = &level.program;
-            let shutters = if level.shutter_reference { 2 } else { 1 };
+            let shutters = if level.shutter_reference { 2u32 } else { 1 };
             cost.cycles_s += p.burst_ns() as f64 * 1e-9 * f64::from(shutters);
             cost.frames += u64::from(p.cycles) * u64::from(p.blanks + 1) * u64::from(shutters);
             cost.injections += if p.inject { u64::from(p.cycles) } else { 0 };

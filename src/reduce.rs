@@ -97,13 +97,19 @@ pub struct Reduced {
 
 impl Reduced {
     /// Nothing yet, for a plan and frames of `rows` × `columns` pixels that saturate at `saturation_count`.
-    pub fn new(plan: Plan, rows: usize, columns: usize, saturation_count: u16) -> Self {
+    ///
+    /// # Errors
+    ///
+    /// [`ReduceError`] when the plan asks for more than sums can hold.
+    pub fn new(plan: Plan, rows: usize, columns: usize, saturation_count: u16) -> Result<Self, ReduceError> {
         let levels = plan.levels.len();
         let pixels = rows * columns;
         let total = match plan.purpose {
             Purpose::Map => {
                 let blanks = plan.levels.first().map_or(1, |level| level.program.blanks);
-                Total::Map(Box::new(Sums::new(levels, rows, columns, blanks, saturation_count)))
+                let blanks = u16::try_from(blanks).map_err(|_| ReduceError(format!("{blanks} blanks a cycle")))?;
+                let sums = Sums::new(levels, rows, columns, blanks, saturation_count);
+                Total::Map(Box::new(sums.map_err(|error| ReduceError(error.to_string()))?))
             }
             Purpose::StandardCurve => Total::Curve(CurveSums {
                 plate: vec![vec![0; pixels]; levels],
@@ -113,7 +119,8 @@ impl Reduced {
                 shutter_k: vec![None; levels],
             }),
         };
-        Self { plan, levels: vec![LevelState::default(); levels], total, pending: Vec::new(), shutter_k: None, pixels }
+        let levels = vec![LevelState::default(); levels];
+        Ok(Self { plan, levels, total, pending: Vec::new(), shutter_k: None, pixels })
     }
 
     /// Takes the next record.
@@ -226,7 +233,7 @@ impl Reduced {
             Total::Map(sums) => {
                 let (spray, blanks) = counts.split_last().expect("blanks + 1 frames were checked above");
                 let blanks: Vec<&[u16]> = blanks.iter().map(|frame| &frame[..]).collect();
-                sums.add_cycle(level, &blanks, spray);
+                sums.add_cycle(level, &blanks, spray).map_err(|error| ReduceError(error.to_string()))?;
             }
             Total::Curve(curve) => {
                 let (sums, frames_so_far) = match self.shutter_k {

@@ -14,16 +14,16 @@ const GRID_TOLERANCE: f64 = 0.05;
 
 /// Where a frame belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Place {
+pub(super) struct Place {
     /// Cycle within the burst.
-    pub cycle: u32,
+    pub(super) cycle: u32,
     /// Position within the cycle.
-    pub position: u32,
+    pub(super) position: u32,
 }
 
 /// Places the frames of one burst.
 #[derive(Debug)]
-pub struct Matcher {
+pub(super) struct Matcher {
     program: ShotProgram,
     /// Camera time of the burst's first clock pulse, in ns; may lie before the camera's zero.
     origin_ns: Option<i128>,
@@ -32,7 +32,7 @@ pub struct Matcher {
 
 impl Matcher {
     /// For a burst as the trigger unit took it.
-    pub fn new(program: ShotProgram) -> Self {
+    pub(super) fn new(program: ShotProgram) -> Self {
         Self { program, origin_ns: None, confirmed: false }
     }
 
@@ -42,7 +42,7 @@ impl Matcher {
     /// # Errors
     ///
     /// Words that say how the stamp misses the grid.
-    pub fn place(&mut self, device_ns: u64, due: u32) -> Result<Place, String> {
+    pub(super) fn place(&mut self, device_ns: u64, due: u32) -> Result<Place, String> {
         let period = i128::from(self.program.period_ns);
         let origin = *self
             .origin_ns
@@ -70,7 +70,7 @@ impl Matcher {
 
     /// Tells whether the cycle just collected was complete. An incomplete one before any complete one makes the
     /// origin doubtful: it is dropped, and the next frame sets it anew.
-    pub fn collected(&mut self, complete: bool) {
+    pub(super) fn collected(&mut self, complete: bool) {
         if complete {
             self.confirmed = true;
         } else if !self.confirmed {

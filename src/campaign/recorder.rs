@@ -1,6 +1,6 @@
 //! Writes what happens as it happens: journal, raw frames, telemetry; and folds the same records live.
 
-use crate::files::npy::{BlockError, NpyBlock};
+use crate::files::npy::{NpyBlock, NpyError};
 use crate::journal::{Entry, Journal, JournalError, Record};
 use crate::reduce::{FrameSource, ReduceError, Reduced};
 use ditd_drivers::instrument::{Frame, PlateReading, ShotKind};
@@ -18,7 +18,7 @@ pub enum RecordError {
     Journal(#[from] JournalError),
     /// A block of frames.
     #[error("frames: {0}")]
-    Frames(#[from] BlockError),
+    Frames(#[from] NpyError),
     /// The live sums.
     #[error(transparent)]
     Reduce(#[from] ReduceError),
@@ -172,14 +172,14 @@ impl Recorder {
         if !self.blocks.contains_key(&name) {
             let path = self.folder.join(&name);
             let block = if path.exists() {
-                NpyBlock::reopen(&path)?
+                NpyBlock::repair(&path)?
             } else {
                 NpyBlock::create(&path, self.rows, self.columns)?
             };
             self.blocks.insert(name.clone(), block);
         }
         let block = self.blocks.get_mut(&name).expect("it was put there above");
-        let index = block.append(&frame.counts)?;
+        let index = block.append(&frame.counts)? as u64;
         let crc32 = crc_of(&frame.counts);
         self.recent.0.insert((name.clone(), index), Arc::clone(&frame.counts));
         let record = Record::Frame {

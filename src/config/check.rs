@@ -51,8 +51,8 @@ fn campaign(config: &Config, found: &mut Vec<Problem>) {
         });
     }
     require(found, c.cycles >= 1, "campaign.cycles", || "at least one cycle a level".to_owned());
-    require(found, (1..=1000).contains(&c.blanks), "campaign.blanks", || {
-        format!("between 1 and 1000 blank frames a cycle, found {}", c.blanks)
+    require(found, (1..=256).contains(&c.blanks), "campaign.blanks", || {
+        format!("between 1 and 256 blank frames a cycle, found {}", c.blanks)
     });
     require(found, c.warm_up <= 1000, "campaign.warm_up", || {
         format!("at most 1000 discarded frames a cycle, found {}", c.warm_up)
