@@ -1,0 +1,231 @@
+//! Sprays computed elsewhere: finds out the form of a path, lists its times, reads one of them.
+//!
+//! Reads as little as the optics need: parcels (place, diameter, temperature, number, density) and gas cells
+//! (box, temperature, pressure or density, mass fraction of the fuel). Judges nothing and spreads nothing.
+
+mod error;
+mod gas_law;
+mod openfoam;
+mod shape;
+
+pub use error::{Place, SceneError};
+pub use gas_law::{NITROGEN_KG_MOL, fuel_molar_mass};
+
+use super::compact;
+use super::field::{CfdSpray, GasCell, Parcel};
+use std::path::{Path, PathBuf};
+
+/// Which time of a case.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Time {
+    /// The last one.
+    Latest,
+    /// The one at this many seconds, to within 1e-6 of its value.
+    At(f64),
+}
+
+/// What the files do not say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImportOptions {
+    /// Name of the fuel's field; `None`: the only field whose name is a fuel.
+    pub fuel: Option<String>,
+    /// Molar mass of the fuel in kg/mol; `None`: by its name.
+    pub fuel_molar_mass_kg_mol: Option<f64>,
+    /// Molar mass of the other gas in kg/mol.
+    pub carrier_molar_mass_kg_mol: f64,
+    /// Length in metres of the unit of length in the files (0.001 for exports in millimetres).
+    pub length_unit_m: f64,
+}
+
+impl Default for ImportOptions {
+    /// Fuel by name, nitrogen, metres.
+    fn default() -> Self {
+        Self {
+            fuel: None,
+            fuel_molar_mass_kg_mol: None,
+            carrier_molar_mass_kg_mol: NITROGEN_KG_MOL,
+            length_unit_m: 1.0,
+        }
+    }
+}
+
+impl ImportOptions {
+    fn mixture(&self, file: &Path, fuel: &str) -> Result<gas_law::Mixture, SceneError> {
+        let mass = self.fuel_molar_mass_kg_mol.or_else(|| fuel_molar_mass(fuel)).ok_or_else(|| {
+            SceneError::missing(file, format!("the molar mass of {fuel:?}"), "Give it as an option")
+        })?;
+        Ok(gas_law::Mixture { fuel: mass, carrier: self.carrier_molar_mass_kg_mol })
+    }
+}
+
+/// The times of a spray in seconds, ascending.
+///
+/// # Errors
+///
+/// [`SceneError::Unknown`] if the path is no spray, and whatever reading the case's index gives.
+pub fn list(path: &Path) -> Result<Vec<f64>, SceneError> {
+    match form(path)? {
+        Form::OpenFoam(case) => Ok(openfoam::times(&case)?.into_iter().map(|t| t.0).collect()),
+        Form::Compact(file) => Ok(vec![read_compact(&file)?.time_s]),
+    }
+}
+
+/// Reads one time of a spray.
+///
+/// # Errors
+///
+/// [`SceneError::Unknown`] if the path is no spray, [`SceneError::Time`] if it has no such time, and
+/// [`SceneError::Malformed`], [`SceneError::Missing`], [`SceneError::Length`] or [`SceneError::Access`] for
+/// trouble with its files.
+pub fn read(path: &Path, time: Time, options: &ImportOptions) -> Result<CfdSpray, SceneError> {
+    match form(path)? {
+        Form::OpenFoam(case) => {
+            let times = openfoam::times(&case)?;
+            let chosen = pick(&case, time, times, |t| t.0)?;
+            openfoam::read(&case, &chosen, options)
+        }
+        Form::Compact(file) => {
+            let spray = read_compact(&file)?;
+            pick(&file, time, vec![spray.time_s], |t| *t)?;
+            Ok(spray)
+        }
+    }
+}
+
+/// A known form, with the file or folder where it starts.
+enum Form {
+    OpenFoam(PathBuf),
+    Compact(PathBuf),
+}
+
+fn form(path: &Path) -> Result<Form, SceneError> {
+    if !path.exists() {
+        return Err(SceneError::Unknown {
+            file: path.to_owned(),
+            why: "there is no such file or folder".into(),
+        });
+    }
+    if path.is_dir() { folder_form(path) } else { file_form(path) }
+}
+
+fn folder_form(folder: &Path) -> Result<Form, SceneError> {
+    if openfoam::is_case(folder) {
+        return Ok(Form::OpenFoam(folder.to_owned()));
+    }
+    if openfoam::is_collated(folder) {
+        return Err(SceneError::Unsupported {
+            file: folder.to_owned(),
+            what: "a collated case (processorsN)".into(),
+            hint: "Run `reconstructPar`, or decompose with `-fileHandler uncollated`".into(),
+        });
+    }
+    Err(SceneError::Unknown {
+        file: folder.to_owned(),
+        why: "the folder has none of the files looked for".into(),
+    })
+}
+
+fn file_form(file: &Path) -> Result<Form, SceneError> {
+    let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    match extension.as_str() {
+        "spray" => Ok(Form::Compact(file.to_owned())),
+        // The empty marker file that ParaView users keep in a case.
+        "foam" => folder_form(file.parent().unwrap_or(Path::new("."))),
+        _ => Err(SceneError::Unknown { file: file.to_owned(), why: format!("the ending is {extension:?}") }),
+    }
+}
+
+fn read_compact(file: &Path) -> Result<CfdSpray, SceneError> {
+    let bytes = std::fs::read(file).map_err(|e| SceneError::access(file, "reading", &e))?;
+    compact::unpack(&bytes, file)
+}
+
+fn pick<T>(file: &Path, time: Time, times: Vec<T>, seconds: impl Fn(&T) -> f64) -> Result<T, SceneError> {
+    let present = times.iter().map(|t| seconds(t).to_string()).collect::<Vec<_>>().join(", ");
+    let mut times = times;
+    let found = match time {
+        Time::Latest => times.len().checked_sub(1),
+        Time::At(asked) => {
+            times.iter().position(|t| (seconds(t) - asked).abs() <= 1e-6 * asked.abs().max(1e-6))
+        }
+    };
+    match (found, time) {
+        (Some(index), _) => Ok(times.swap_remove(index)),
+        (None, Time::At(asked_s)) => Err(SceneError::Time { file: file.to_owned(), asked_s, present }),
+        (None, Time::Latest) => {
+            Err(SceneError::missing(file, "any time", "Look into the folder: is it the case?"))
+        }
+    }
+}
+
+/// What a reader has gathered so far.
+#[derive(Default)]
+struct Made {
+    time_s: f64,
+    parcels: Option<Vec<Parcel>>,
+    liquid_density_kg_m3: Option<Vec<f64>>,
+    density_missing: bool,
+    cells: Option<Vec<GasCell>>,
+    shaped_cells: usize,
+    fuel: String,
+}
+
+impl Made {
+    fn finish(mut self, file: &Path, options: &ImportOptions) -> Result<CfdSpray, SceneError> {
+        let mixture = match self.cells {
+            Some(_) => options.mixture(file, &self.fuel)?,
+            None => gas_law::Mixture {
+                fuel: options.fuel_molar_mass_kg_mol.unwrap_or(f64::NAN),
+                carrier: options.carrier_molar_mass_kg_mol,
+            },
+        };
+        let unit = options.length_unit_m;
+        for parcel in self.parcels.iter_mut().flatten() {
+            parcel.position_m = parcel.position_m.map(|x| x * unit);
+        }
+        let mut domain = shape::Box3::EMPTY;
+        for cell in self.cells.iter_mut().flatten() {
+            cell.lower_m = cell.lower_m.map(|x| x * unit);
+            cell.upper_m = cell.upper_m.map(|x| x * unit);
+            domain.extend(cell.lower_m);
+            domain.extend(cell.upper_m);
+        }
+        let has_cells = self.cells.as_ref().is_some_and(|c| !c.is_empty());
+        Ok(CfdSpray {
+            time_s: self.time_s,
+            parcels: self.parcels,
+            liquid_density_kg_m3: if self.density_missing { None } else { self.liquid_density_kg_m3 },
+            cells: self.cells,
+            shaped_cells: self.shaped_cells,
+            remainder: None,
+            domain_m: has_cells.then_some([domain.lower, domain.upper]),
+            fuel: self.fuel,
+            fuel_molar_mass_kg_mol: mixture.fuel,
+            carrier_molar_mass_kg_mol: mixture.carrier,
+        })
+    }
+}
+
+/// One gas cell; whichever of pressure and density is missing follows from the other (one must be there).
+fn gas_cell(
+    corners_m: [[f64; 3]; 2],
+    temperature_k: f64,
+    pressure_pa: Option<f64>,
+    density_kg_m3: Option<f64>,
+    fuel_mass_fraction: f64,
+    mixture: gas_law::Mixture,
+) -> GasCell {
+    let density = density_kg_m3
+        .or_else(|| pressure_pa.map(|p| mixture.density(p, temperature_k, fuel_mass_fraction)))
+        .unwrap_or(f64::NAN);
+    let pressure =
+        pressure_pa.unwrap_or_else(|| mixture.pressure(density, temperature_k, fuel_mass_fraction));
+    GasCell {
+        lower_m: corners_m[0],
+        upper_m: corners_m[1],
+        temperature_k,
+        pressure_pa: pressure,
+        density_kg_m3: density,
+        fuel_mass_fraction,
+    }
+}
