@@ -534,7 +534,7 @@ mod tests {
         while let Ok(byte) = stream.read_u8().await {
             let Some(Ok(line)) = decoder.push(byte) else { continue };
             count += 1;
-            if count % late == 0 {
+            if count.is_multiple_of(late) {
                 tokio::time::sleep(delay).await;
             }
             let answer = if line == "*IDN?" {
