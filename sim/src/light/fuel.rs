@@ -13,8 +13,16 @@ pub const LIQUID_REFERENCE_K: f64 = 299.15;
 const DENSITY_EXTRAPOLATION_K: f64 = 40.0;
 
 /// Names of the fuels that are shipped, as [`Fuel::named`] takes them.
-pub const NAMES: [&str; 8] =
-    ["n-heptane", "n-octane", "n-hexadecane", "isooctane", "isooctane-lowres", "ethanol", "toluene", "E10-surrogate"];
+pub const NAMES: [&str; 8] = [
+    "n-heptane",
+    "n-octane",
+    "n-hexadecane",
+    "isooctane",
+    "isooctane-lowres",
+    "ethanol",
+    "toluene",
+    "E10-surrogate",
+];
 
 /// Why there is no such fuel.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -132,8 +140,10 @@ impl Fuel {
     ///
     /// [`FuelError::Unknown`] with the names there are.
     pub fn named(name: &str) -> Result<Self, FuelError> {
-        let shipped =
-            SHIPPED.iter().find(|s| s.name == name).ok_or_else(|| FuelError::Unknown { name: name.to_owned() })?;
+        let shipped = SHIPPED
+            .iter()
+            .find(|s| s.name == name)
+            .ok_or_else(|| FuelError::Unknown { name: name.to_owned() })?;
         let (molar_mass, density) = shipped_liquid(name)?;
         Self::from_csv(name, shipped.source, shipped.liquid, shipped.vapour, molar_mass, density)
     }
@@ -357,7 +367,8 @@ const SHIPPED: [Shipped; 8] = [
 ];
 
 /// Volume fractions of the E10 surrogate at [`LIQUID_REFERENCE_K`], as in the source of its optical table.
-const E10_VOLUMES: [(f64, &str); 4] = [(0.10, "ethanol"), (0.28, "toluene"), (0.37, "isooctane"), (0.25, "n-heptane")];
+const E10_VOLUMES: [(f64, &str); 4] =
+    [(0.10, "ethanol"), (0.28, "toluene"), (0.37, "isooctane"), (0.25, "n-heptane")];
 
 /// Molar mass in kg/mol and density of a shipped fuel.
 fn shipped_liquid(name: &str) -> Result<(f64, Density), FuelError> {
@@ -481,8 +492,16 @@ mod tests {
             let found = Fuel::named(name).unwrap().liquid_density(t);
             assert!((found / rho - 1.0).abs() < 1.5e-4, "{name} {t}: {found}");
         }
-        // n-octane: NIST saturated liquid 616.0 kg/m3 at 400 K, Rackett within 1 %.
-        assert!((Fuel::named("n-octane").unwrap().liquid_density(400.0) / 611.0 - 1.0).abs() < 0.02);
+        // Rackett's equation as used for n-octane, tried on n-heptane (T_c 540.2 K, Z_RA 0.2611, 679.6 kg/m3 at
+        // 298.15 K) against its table at 380 K: the equation's usual error is below 1 %.
+        let rackett = Density::Rackett {
+            reference_kg_m3: 679.6,
+            reference_k: 298.15,
+            critical_k: 540.2,
+            compressibility: 0.2611,
+            range_k: [280.0, 485.0],
+        };
+        assert!((rackett.at(380.0) / 605.276 - 1.0).abs() < 0.01, "{}", rackett.at(380.0));
     }
 
     #[test]
@@ -511,7 +530,8 @@ mod tests {
         };
         let liquid = "wavelength_um,n,k\n3,1.4,0.1\n4,1.4,0.1\n";
         let vapour = "wavelength_um,sigma_m2_mol_300K\n3,1\n4,1\n";
-        let make = |liquid: &str, vapour: &str, mass| Fuel::from_csv("own", "test", liquid, vapour, mass, density());
+        let make =
+            |liquid: &str, vapour: &str, mass| Fuel::from_csv("own", "test", liquid, vapour, mass, density());
         assert!(make(liquid, vapour, 0.1).is_ok());
         assert!(matches!(make(liquid, vapour, -0.1), Err(FuelError::Value { .. })));
         assert!(matches!(make("wavelength_um,n\n3,1\n4,1\n", vapour, 0.1), Err(FuelError::Table { .. })));

@@ -295,7 +295,10 @@ mod tests {
             assert_close(energy_exitance_band(a, b, t), column("M_energy_W_m2")[row], bound, &what);
             let in_log = 4.0 * ULP * column("ln_M")[row].abs() + bound;
             assert!((ln_photon_exitance_band(a, b, t) - column("ln_M")[row]).abs() <= in_log, "{what}");
-            assert!((ln_d_photon_exitance_band_dt(a, b, t) - column("ln_dM_dT")[row]).abs() <= in_log, "{what}");
+            assert!(
+                (ln_d_photon_exitance_band_dt(a, b, t) - column("ln_dM_dT")[row]).abs() <= in_log,
+                "{what}"
+            );
         }
     }
 

@@ -2,6 +2,8 @@
 //!
 //! Reads what is handed in; knows no files.
 
+use std::cmp::Ordering;
+
 /// Why a table could not be read.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TableError {
@@ -92,10 +94,11 @@ impl Table {
     ///
     /// [`TableError::Column`] when there is none of that name.
     pub fn column(&self, name: &str) -> Result<&[f64], TableError> {
-        let index = self.names.iter().position(|own| own == name).ok_or_else(|| TableError::Column {
-            wanted: name.to_owned(),
-            found: self.names.join(", "),
-        })?;
+        let index = self
+            .names
+            .iter()
+            .position(|own| own == name)
+            .ok_or_else(|| TableError::Column { wanted: name.to_owned(), found: self.names.join(", ") })?;
         Ok(&self.columns[index])
     }
 
@@ -110,7 +113,7 @@ impl Table {
         if column.len() < 2 {
             return Err(order(column.len()));
         }
-        match column.windows(2).position(|pair| !(pair[0] < pair[1])) {
+        match column.windows(2).position(|pair| pair[0].partial_cmp(&pair[1]) != Some(Ordering::Less)) {
             Some(index) => Err(order(index + 2)),
             None => Ok(column),
         }

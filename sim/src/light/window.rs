@@ -151,7 +151,10 @@ mod tests {
             }
             let wanted = column("sapphire_5mm_T_Fresnel_only")[row];
             if wanted.is_finite() {
-                assert!((at(Material::Sapphire, 0.005, 295.0).transmittance - wanted).abs() < 6e-5, "{um} um");
+                assert!(
+                    (at(Material::Sapphire, 0.005, 295.0).transmittance - wanted).abs() < 6e-5,
+                    "{um} um"
+                );
             }
         }
     }

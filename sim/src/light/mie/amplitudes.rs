@@ -198,12 +198,14 @@ mod tests {
             .collect();
         let mut worst = (0.0f64, 0.0f64);
         for sphere_rows in rows.chunk_by(|p, q| p[..3] == q[..3]) {
-            let sphere = Sphere { size_parameter: sphere_rows[0][0], n: sphere_rows[0][1], k: sphere_rows[0][2] };
+            let sphere =
+                Sphere { size_parameter: sphere_rows[0][0], n: sphere_rows[0][1], k: sphere_rows[0][2] };
             let towards: Vec<Direction> =
                 sphere_rows.iter().map(|row| Direction::from_degrees(row[3]).unwrap()).collect();
             let found = amplitudes_towards(sphere, &towards).unwrap();
             let p11 = phase(sphere, &towards).unwrap();
-            let largest = sphere_rows.iter().map(|r| r[4].hypot(r[5]).max(r[6].hypot(r[7]))).fold(0.0, f64::max);
+            let largest =
+                sphere_rows.iter().map(|r| r[4].hypot(r[5]).max(r[6].hypot(r[7]))).fold(0.0, f64::max);
             let allowed = 1e-13 * largest * (1.0 + sphere.size_parameter / 100.0);
             let p_largest = sphere_rows.iter().map(|r| r[8]).fold(0.0, f64::max);
             for ((row, (s1, s2)), p) in sphere_rows.iter().zip(found).zip(p11) {

@@ -57,12 +57,18 @@ mod tests {
             .collect();
         let mut worst = 0.0f64;
         for sphere_rows in rows.chunk_by(|p, q| p[..3] == q[..3]) {
-            let sphere = Sphere { size_parameter: sphere_rows[0][0], n: sphere_rows[0][1], k: sphere_rows[0][2] };
+            let sphere =
+                Sphere { size_parameter: sphere_rows[0][0], n: sphere_rows[0][1], k: sphere_rows[0][2] };
             let versines: Vec<f64> =
                 sphere_rows.iter().map(|row| 2.0 * (0.5 * row[3]).to_radians().sin().powi(2)).collect();
             for (row, found) in sphere_rows.iter().zip(cumulative(sphere, &versines).unwrap()) {
                 worst = worst.max((found - row[4]).abs());
-                assert!((found - row[4]).abs() <= 1e-12, "{sphere:?} {} deg: {found} against {}", row[3], row[4]);
+                assert!(
+                    (found - row[4]).abs() <= 1e-12,
+                    "{sphere:?} {} deg: {found} against {}",
+                    row[3],
+                    row[4]
+                );
             }
         }
         println!("worst {worst:e}");

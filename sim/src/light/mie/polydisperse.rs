@@ -55,9 +55,11 @@ pub fn lognormal(
     target: f64,
 ) -> Result<Polydisperse, MieError> {
     let Lognormal { median_radius_um, sigma_ln } = sizes;
-    if !(median_radius_um > 0.0 && wavelength_um > 0.0 && (0.0..=3.0).contains(&sigma_ln))
-        || !(median_radius_um / wavelength_um).is_finite()
-    {
+    let known = median_radius_um > 0.0
+        && wavelength_um > 0.0
+        && (0.0..=3.0).contains(&sigma_ln)
+        && (median_radius_um / wavelength_um).is_finite();
+    if !known {
         return Err(MieError::Distribution { median_radius_um, sigma_ln, wavelength_um });
     }
     let x_median = 2.0 * PI * median_radius_um / wavelength_um;
@@ -147,7 +149,8 @@ impl Sums {
 
 impl Polydisperse {
     fn change_from(&self, other: &Self) -> f64 {
-        let relative = |a: f64, b: f64| if a.to_bits() == b.to_bits() { 0.0 } else { (a - b).abs() / a.abs() };
+        let relative =
+            |a: f64, b: f64| if a.to_bits() == b.to_bits() { 0.0 } else { (a - b).abs() / a.abs() };
         relative(self.q_ext, other.q_ext)
             .max(relative(self.q_sca, other.q_sca))
             .max(relative(self.q_abs, other.q_abs))
@@ -176,7 +179,8 @@ mod tests {
 
     #[test]
     fn a_width_of_zero_is_one_sphere_and_bad_distributions_are_refused() {
-        let one = lognormal(Lognormal { median_radius_um: 5.0, sigma_ln: 0.0 }, 3.4, 1.38, 0.09, 1e-6).unwrap();
+        let one =
+            lognormal(Lognormal { median_radius_um: 5.0, sigma_ln: 0.0 }, 3.4, 1.38, 0.09, 1e-6).unwrap();
         // notes: Fig. 2 table, r = 5 um.
         assert!((one.q_ext - 2.357802).abs() < 1e-6);
         for (radius, sigma) in [(0.0, 0.5), (5.0, -0.5), (5.0, f64::NAN), (f64::INFINITY, 0.5)] {

@@ -189,9 +189,8 @@ impl<const L: usize> Spheres<L> {
         }));
         let mut chi = cosine * x_inverse + sine;
         let mut chi_below = cosine;
-        for n in 1..=self.orders {
+        for (n, &Ratios { outside, inside, difference }) in ratios.iter().enumerate().skip(1) {
             let order = n as f64;
-            let Ratios { outside, inside, difference } = ratios[n];
             let chi_above = (x_inverse * (2.0 * order + 1.0)) * chi - chi_below;
             let climb = step.scale(Real::all(order + 1.0));
             let top_a = (climb + difference + shrink * inside).scale(psi);
@@ -272,7 +271,11 @@ fn sums<const L: usize>(lanes: [Sphere; L], ratios: &mut Vec<Ratios<L>>) -> [Eff
 }
 
 /// A number of orders: whole, and at most a few times [`super::SIZE_MAX`].
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded by SIZE_MAX, not negative")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "bounded by SIZE_MAX, not negative"
+)]
 fn integer(count: f64) -> usize {
     count.clamp(0.0, 4.0 * super::SIZE_MAX) as usize
 }
@@ -322,7 +325,10 @@ mod tests {
                     worst = worst.max(error / allowed);
                 }
                 if error > allowed {
-                    bad.push(format!("{id} column {column}: {found:e} against {wanted:e}, {:.1}", error / allowed));
+                    bad.push(format!(
+                        "{id} column {column}: {found:e} against {wanted:e}, {:.1}",
+                        error / allowed
+                    ));
                 }
             }
         }
@@ -358,11 +364,14 @@ mod tests {
         for x in [-1.0, f64::NAN, f64::INFINITY] {
             assert!(matches!(efficiencies(x, 1.4, 0.1), Err(MieError::Size(_))));
         }
-        for (n, k) in [(0.0, 0.1), (-1.4, 0.1), (1.4, -0.1), (f64::NAN, 0.0), (1.4, f64::NAN), (f64::INFINITY, 0.0)] {
+        for (n, k) in
+            [(0.0, 0.1), (-1.4, 0.1), (1.4, -0.1), (f64::NAN, 0.0), (1.4, f64::NAN), (f64::INFINITY, 0.0)]
+        {
             assert!(matches!(efficiencies(1.0, n, k), Err(MieError::Index { .. })), "{n} {k}");
         }
         assert!(matches!(efficiencies(2.0 * SIZE_MAX, 1.4, 0.0), Err(MieError::TooLarge { .. })));
-        let spheres = [Sphere { size_parameter: 1.0, n: 1.4, k: 0.0 }, Sphere { size_parameter: 1.0, n: 1.4, k: -1.0 }];
+        let spheres =
+            [Sphere { size_parameter: 1.0, n: 1.4, k: 0.0 }, Sphere { size_parameter: 1.0, n: 1.4, k: -1.0 }];
         assert_eq!(efficiencies_of_many(&spheres).unwrap_err().0, 1);
     }
 
