@@ -126,6 +126,11 @@ impl Recorder {
         })
     }
 
+    /// The run folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// What the records add up to so far.
     pub fn reduced(&self) -> &Reduced {
         &self.reduced

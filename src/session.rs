@@ -1,0 +1,438 @@
+//! One run from config to result folder: calibration, campaign, map, truth, report. And the same again from a folder.
+
+use crate::archive::Archive;
+use crate::calibrate::{self, CalibrateError, Calibration};
+use crate::campaign::{CampaignError, Ended, Engine, Outcome, RecordError, Recorder, StopFlag, header, safe_state};
+use crate::clock::Clock;
+use crate::config::{Config, ConfigError};
+use crate::console::Console;
+use crate::estimate::map::Estimator;
+use crate::fitting;
+use crate::journal::{self, Entry, JournalError, Record};
+use crate::plan::Plan;
+use crate::reduce::{ReduceError, Reduced, Total};
+use crate::result::{self, ResultError};
+use crate::rigs::{self, OpenError, Prepared, View};
+use crate::run_folder::{FolderError, RunFolder, sha256};
+use crate::samples::Source;
+use ditd_drivers::error::DriverError;
+use std::path::{Path, PathBuf};
+
+/// Why a session ended without its result.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// The campaign file.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The rig could not be opened or built.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// The campaign.
+    #[error("{error}{}", unsafe_words(.unsafe_because))]
+    Campaign {
+        /// What went wrong.
+        error: CampaignError,
+        /// What could not be made safe.
+        unsafe_because: Vec<DriverError>,
+    },
+    /// The operator stopped it at once.
+    #[error("stopped; {}", safe_words(.0))]
+    Stopped(Vec<DriverError>),
+    /// The operator paused it.
+    #[error("paused after a complete cycle; go on with `ditd resume {}`", .0.display())]
+    Paused(PathBuf),
+    /// The safe state could not be confirmed.
+    #[error("the safe state could not be confirmed: {}. Switch the rig off by hand.", list(.0))]
+    Unsafe(Vec<DriverError>),
+    /// The run folder.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// The record.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The journal.
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+    /// The records contradict each other.
+    #[error(transparent)]
+    Reduce(#[from] ReduceError),
+    /// The calibration.
+    #[error(transparent)]
+    Calibrate(#[from] CalibrateError),
+    /// The result's files.
+    #[error(transparent)]
+    Result(#[from] ResultError),
+    /// Something else that the message explains.
+    #[error("{0}")]
+    Other(String),
+}
+
+fn list(errors: &[DriverError]) -> String {
+    errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+}
+
+fn safe_words(errors: &[DriverError]) -> String {
+    if errors.is_empty() { "the rig is in its safe state".to_owned() } else { unsafe_words(errors) }
+}
+
+fn unsafe_words(errors: &[DriverError]) -> String {
+    if errors.is_empty() {
+        String::new()
+    } else {
+        format!(" THE SAFE STATE COULD NOT BE CONFIRMED: {}. Switch the rig off by hand.", list(errors))
+    }
+}
+
+impl SessionError {
+    /// The process's exit status that stands for it.
+    pub fn code(&self) -> u8 {
+        match self {
+            Self::Config(_) => 2,
+            Self::Open(error) => error.code(),
+            Self::Campaign { error, .. } => error.code(),
+            Self::Stopped(_) => 130,
+            Self::Paused(_) => 6,
+            Self::Unsafe(_) => 4,
+            Self::Journal(JournalError::Damaged { .. }) | Self::Reduce(_) => 5,
+            Self::Calibrate(CalibrateError::Key { .. }) => 2,
+            Self::Folder(_)
+            | Self::Record(_)
+            | Self::Journal(_)
+            | Self::Calibrate(_)
+            | Self::Result(_)
+            | Self::Other(_) => 1,
+        }
+    }
+}
+
+/// A calibration and the flat that belongs to it.
+#[derive(Debug, Clone)]
+pub struct Calibrated {
+    /// The curve.
+    pub calibration: Calibration,
+    /// Relative gain per pixel.
+    pub flat: Vec<f64>,
+}
+
+/// What a session is told.
+#[derive(Debug, Clone)]
+pub struct Setting<'a> {
+    /// The campaign file's text and folder.
+    pub source: &'a Source,
+    /// The campaign file.
+    pub config: &'a Config,
+    /// The wall clock.
+    pub clock: Clock,
+    /// The operator's wish.
+    pub stop: StopFlag,
+}
+
+impl Setting<'_> {
+    /// UTC at the start of the campaign's clock.
+    fn utc(&self) -> String {
+        if self.config.rig.is_some() { self.config.campaign.epoch.clone() } else { self.clock.utc() }
+    }
+}
+
+/// Runs a campaign and leaves a run folder; returns the text of its summary.
+///
+/// # Errors
+///
+/// [`SessionError`]; the rig is then in its safe state unless the error says otherwise.
+pub fn run(setting: &Setting<'_>, out: &Path) -> Result<String, SessionError> {
+    let folder = RunFolder::create(out)?;
+    folder.write(&folder.campaign(), setting.source.text.as_bytes())?;
+    let calibrated = obtain_calibration(setting, &folder)?;
+    let plan = Plan::of_map(setting.config);
+    let c = &setting.config.camera;
+    let reduced = Reduced::new(plan.clone(), c.rows, c.columns, c.saturation_count)?;
+    let prepared = prepare(setting, View::Chamber)?;
+    let mut recorder = Recorder::create(folder.root(), reduced, c.rows, c.columns)?;
+    let start = header(&plan, setting.utc(), sha256(setting.source.text.as_bytes()));
+    let engine = campaign(setting, &plan, &prepared, &mut recorder, Some(start), "campaign")?;
+    finish(setting, &folder, &prepared, recorder.reduced(), &calibrated, &engine)
+}
+
+/// Goes on with a run that was paused or killed.
+///
+/// # Errors
+///
+/// [`SessionError`], as [`run`].
+pub fn resume(root: &Path, clock: Clock, stop: StopFlag) -> Result<String, SessionError> {
+    let folder = RunFolder::at(root);
+    let (source, config) = config_of(&folder)?;
+    let setting = Setting { source: &source, config: &config, clock, stop };
+    let calibrated = load_calibration(&folder.calibration(), &config)?;
+    let plan = Plan::of_map(&config);
+    let c = &config.camera;
+    let reduced = Reduced::new(plan.clone(), c.rows, c.columns, c.saturation_count)?;
+    let mut archive = Archive::new(folder.root(), c.rows * c.columns);
+    let (mut recorder, entries) = Recorder::reopen(folder.root(), reduced, c.rows, c.columns, &mut archive)?;
+    check_config(&entries, &source)?;
+    let prepared = prepare(&setting, View::Chamber)?;
+    let elapsed = entries.last().map_or(0, |entry| entry.t_ns);
+    prepared.start_at(elapsed);
+    let engine = campaign(&setting, &plan, &prepared, &mut recorder, None, "campaign")?;
+    finish(&setting, &folder, &prepared, recorder.reduced(), &calibrated, &engine)
+}
+
+/// Acquires the standard curve into a folder of its own.
+///
+/// # Errors
+///
+/// [`SessionError`], as [`run`].
+pub fn calibrate(setting: &Setting<'_>, out: &Path) -> Result<Calibrated, SessionError> {
+    let plan = Plan::of_standard_curve(setting.config)
+        .ok_or_else(|| SessionError::Other("calibrate: the campaign file has no [calibration] table".to_owned()))?;
+    let folder = RunFolder::create(out)?;
+    folder.write(&folder.campaign(), setting.source.text.as_bytes())?;
+    let c = &setting.config.camera;
+    let reduced = Reduced::new(plan.clone(), c.rows, c.columns, c.saturation_count)?;
+    let prepared = prepare(setting, View::Bench)?;
+    let mut recorder = Recorder::create(folder.root(), reduced, c.rows, c.columns)?;
+    let start = header(&plan, setting.utc(), sha256(setting.source.text.as_bytes()));
+    campaign(setting, &plan, &prepared, &mut recorder, Some(start), "calibration")?;
+    let calibrated = calibration_of(recorder.reduced(), setting.config, &setting.utc())?;
+    store_calibration(&folder, &folder.root().join("calibration.json"), &calibrated, setting.config)?;
+    Ok(calibrated)
+}
+
+/// Brings a rig to its safe state.
+///
+/// # Errors
+///
+/// [`SessionError::Unsafe`] when an instrument could not be reached.
+pub fn make_safe(setting: &Setting<'_>) -> Result<(), SessionError> {
+    let prepared = rigs::without_world(setting.config);
+    let runtime = prepared.runtime().map_err(SessionError::Other)?;
+    let trouble = runtime.block_on(async {
+        let mut opened = prepared.open().await?;
+        Ok::<_, OpenError>(safe_state(&mut opened.instruments).await)
+    })?;
+    if trouble.is_empty() { Ok(()) } else { Err(SessionError::Unsafe(trouble)) }
+}
+
+/// Folds a recorded run again and writes its result to `out`; returns the reduced run.
+///
+/// # Errors
+///
+/// [`SessionError`] when the folder is damaged.
+pub fn replay(root: &Path, out: &Path, estimator: Option<Estimator>) -> Result<String, SessionError> {
+    let folder = RunFolder::at(root);
+    let (source, config) = config_of(&folder)?;
+    let calibrated = load_calibration(&folder.calibration(), &config)?;
+    refit(&folder, &source, &config, &calibrated, out, estimator)
+}
+
+/// As [`replay`], with a calibration from elsewhere.
+///
+/// # Errors
+///
+/// [`SessionError`] when the folder or the calibration is damaged or does not belong to the camera's settings.
+pub fn refit_with(
+    root: &Path,
+    calibration: &Path,
+    out: &Path,
+    estimator: Option<Estimator>,
+) -> Result<String, SessionError> {
+    let folder = RunFolder::at(root);
+    let (source, config) = config_of(&folder)?;
+    let calibrated = load_calibration(&calibration_folder(calibration), &config)?;
+    refit(&folder, &source, &config, &calibrated, out, estimator)
+}
+
+fn refit(
+    folder: &RunFolder,
+    source: &Source,
+    config: &Config,
+    calibrated: &Calibrated,
+    out: &Path,
+    estimator: Option<Estimator>,
+) -> Result<String, SessionError> {
+    let entries = journal::read(&folder.journal())?;
+    check_config(&entries, source)?;
+    let c = &config.camera;
+    let mut reduced = Reduced::new(Plan::of_map(config), c.rows, c.columns, c.saturation_count)?;
+    let mut archive = Archive::new(folder.root(), c.rows * c.columns);
+    for entry in &entries {
+        reduced.apply(&entry.record, &mut archive)?;
+    }
+    let estimator = estimator.or_else(|| fitting::estimator(&config.fit.estimator)).unwrap_or(Estimator::Default);
+    let truth = result::read_world(&folder.world())?;
+    Ok(result::write(out, &reduced, config, calibrated, estimator, truth.as_ref())?)
+}
+
+/// Acquires or copies the calibration into the run folder.
+fn obtain_calibration(setting: &Setting<'_>, folder: &RunFolder) -> Result<Calibrated, SessionError> {
+    if setting.config.optics.calibration == "measure" {
+        return calibrate(setting, &folder.calibration());
+    }
+    let given = calibration_folder(&setting.source.folder.join(&setting.config.optics.calibration));
+    let calibrated = load_calibration(&given, setting.config)?;
+    let target = RunFolder::at(&folder.calibration());
+    store_calibration(&target, &folder.calibration().join("calibration.json"), &calibrated, setting.config)?;
+    Ok(calibrated)
+}
+
+/// The folder that a path to a calibration folder or to its `calibration.json` means.
+fn calibration_folder(path: &Path) -> PathBuf {
+    if path.extension().is_some_and(|extension| extension == "json") {
+        path.parent().map(Path::to_owned).unwrap_or_default()
+    } else {
+        path.to_owned()
+    }
+}
+
+fn calibration_of(reduced: &Reduced, config: &Config, utc: &str) -> Result<Calibrated, SessionError> {
+    let Total::Curve(sums) = &reduced.total else {
+        return Err(SessionError::Other("calibration: the record holds no calibration frames".to_owned()));
+    };
+    let (calibration, flat) = calibrate::standard(sums, &reduced.levels, config, utc)?;
+    Ok(Calibrated { calibration, flat })
+}
+
+fn store_calibration(
+    folder: &RunFolder,
+    path: &Path,
+    calibrated: &Calibrated,
+    config: &Config,
+) -> Result<(), SessionError> {
+    let mut text = serde_json::to_string_pretty(&calibrated.calibration)
+        .map_err(|error| SessionError::Other(format!("calibration: {error}")))?;
+    text.push('\n');
+    folder.write(path, text.as_bytes())?;
+    let shape = vec![config.camera.rows, config.camera.columns];
+    let flat = crate::files::npy::Array { shape, values: crate::files::npy::Values::F64(calibrated.flat.clone()) };
+    folder.write(&path.with_file_name("flat.npy"), &flat.to_bytes())?;
+    Ok(())
+}
+
+fn load_calibration(folder: &Path, config: &Config) -> Result<Calibrated, SessionError> {
+    let path = folder.join("calibration.json");
+    let text = std::fs::read_to_string(&path)
+        .map_err(|error| SessionError::Other(format!("calibration {}: {error}", path.display())))?;
+    let calibration: Calibration = serde_json::from_str(&text)
+        .map_err(|error| SessionError::Other(format!("calibration {}: {error}", path.display())))?;
+    calibration.check_key(config)?;
+    let path = folder.join("flat.npy");
+    let flat = crate::files::npy::read(&path).map_err(|error| SessionError::Other(error.to_string()))?.to_f64();
+    if flat.len() != config.camera.rows * config.camera.columns {
+        return Err(SessionError::Other(format!("{}: the flat has another size than the frames", path.display())));
+    }
+    Ok(Calibrated { calibration, flat })
+}
+
+fn config_of(folder: &RunFolder) -> Result<(Source, Config), SessionError> {
+    let path = folder.campaign();
+    let text = std::fs::read_to_string(&path)
+        .map_err(|error| SessionError::Other(format!("{}: {error}. Is this a run folder?", path.display())))?;
+    let name = path.display().to_string();
+    let config = Config::parse(&name, &text)?;
+    Ok((Source { name, text, folder: folder.root().to_owned() }, config))
+}
+
+/// The journal belongs to the campaign file beside it.
+fn check_config(entries: &[Entry], source: &Source) -> Result<(), SessionError> {
+    let stated = entries.iter().find_map(|entry| match &entry.record {
+        Record::Start { config_sha256, .. } => Some(config_sha256),
+        _ => None,
+    });
+    let found = sha256(source.text.as_bytes());
+    match stated {
+        Some(stated) if *stated == found => Ok(()),
+        Some(_) => Err(SessionError::Reduce(ReduceError(format!(
+            "{} is not the file with which the run was made",
+            source.name
+        )))),
+        None => Err(SessionError::Reduce(ReduceError("the journal has no beginning".to_owned()))),
+    }
+}
+
+fn prepare(setting: &Setting<'_>, view: View) -> Result<Prepared, SessionError> {
+    let console = Console::new("rendering");
+    let prepared =
+        rigs::prepare(setting.config, view, &setting.source.folder, &|text, done| console.fraction(text, done));
+    console.finish();
+    Ok(prepared?)
+}
+
+/// Runs a plan on the prepared rig, in virtual or real time; an early end becomes an error.
+fn campaign(
+    setting: &Setting<'_>,
+    plan: &Plan,
+    prepared: &Prepared,
+    recorder: &mut Recorder,
+    start: Option<Record>,
+    title: &str,
+) -> Result<Virtual, SessionError> {
+    let mut console = Console::new(title);
+    let runtime = prepared.runtime().map_err(SessionError::Other)?;
+    let (outcome, elapsed_s) = runtime.block_on(async {
+        let mut opened = prepared.open().await?;
+        let started = tokio::time::Instant::now();
+        let engine = Engine {
+            config: setting.config,
+            plan,
+            instruments: &mut opened.instruments,
+            recorder,
+            progress: &mut console,
+            stop: setting.stop.clone(),
+            started,
+            elapsed_before_ns: prepared.elapsed_before_ns(),
+        };
+        let outcome = Box::pin(engine.run(start)).await;
+        Ok::<_, OpenError>((outcome, started.elapsed().as_secs_f64()))
+    })?;
+    console.finish();
+    let Outcome { ended, unsafe_because, .. } = outcome;
+    match ended {
+        Err(error) => Err(SessionError::Campaign { error, unsafe_because }),
+        Ok(Ended::Stopped) => Err(SessionError::Stopped(unsafe_because)),
+        Ok(_) if !unsafe_because.is_empty() => Err(SessionError::Unsafe(unsafe_because)),
+        Ok(Ended::Paused) => Err(SessionError::Paused(recorder.folder().to_owned())),
+        Ok(Ended::Done) => Ok(Virtual { seconds: elapsed_s }),
+    }
+}
+
+/// Time on the campaign's clock.
+struct Virtual {
+    seconds: f64,
+}
+
+/// Map, truth, report, seal.
+fn finish(
+    setting: &Setting<'_>,
+    folder: &RunFolder,
+    prepared: &Prepared,
+    reduced: &Reduced,
+    calibrated: &Calibrated,
+    campaign: &Virtual,
+) -> Result<String, SessionError> {
+    let config = setting.config;
+    let estimator = fitting::estimator(&config.fit.estimator).unwrap_or(Estimator::Default);
+    let console = Console::new("result");
+    console.fraction("what the simulated world knows of itself", 0.3);
+    if let Some(truth) = prepared.truth(reduced, config)? {
+        result::write_world(folder, &truth)?;
+    }
+    console.fraction("maps, pictures and report", 0.7);
+    let truth = result::read_world(&folder.world())?;
+    let summary = result::write(&folder.result(), reduced, config, calibrated, estimator, truth.as_ref())?;
+    console.finish();
+    let machine = serde_json::json!({
+        "wall_s": setting.clock.elapsed().as_secs_f64(),
+        "campaign_s": campaign.seconds,
+        "utc": setting.clock.utc(),
+        "threads": rayon::current_num_threads(),
+        "os": std::env::consts::OS,
+        "architecture": std::env::consts::ARCH,
+    });
+    folder.write(&folder.root().join("machine.json"), format!("{machine:#}\n").as_bytes())?;
+    folder.seal(&config.campaign.name, &setting.utc())?;
+    Ok(format!(
+        "{summary}time      {} of campaign in {:.1} s on this machine\nfolder    {}\n",
+        crate::console::duration_words(campaign.seconds),
+        setting.clock.elapsed().as_secs_f64(),
+        folder.root().display()
+    ))
+}

@@ -1,0 +1,119 @@
+//! Campaign files: every shipped one loads, every mistake is named with its line, and nothing impossible passes.
+
+use ditd::config::Config;
+use std::path::Path;
+
+fn quickstart() -> String {
+    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/quickstart.toml")).unwrap()
+}
+
+fn refusal(text: &str) -> String {
+    Config::parse("x.toml", text).expect_err("this must be refused").to_string()
+}
+
+/// The quickstart with one line replaced.
+fn with(line_start: &str, replacement: &str) -> String {
+    let text = quickstart();
+    let found = text.lines().filter(|line| line.trim_start().starts_with(line_start)).count();
+    assert!(found >= 1, "the quickstart has no line {line_start:?}");
+    let mut done = false;
+    let lines: Vec<String> = text
+        .lines()
+        .map(|line| {
+            if !done && line.trim_start().starts_with(line_start) {
+                done = true;
+                replacement.to_owned()
+            } else {
+                line.to_owned()
+            }
+        })
+        .collect();
+    lines.join("\n")
+}
+
+#[test]
+fn every_shipped_campaign_file_loads() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs");
+    let mut seen = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "toml") {
+            let text = std::fs::read_to_string(&path).unwrap();
+            Config::parse(&path.display().to_string(), &text).unwrap_or_else(|error| panic!("{error}"));
+            seen += 1;
+        }
+    }
+    assert!(seen >= 2, "found {seen} campaign files");
+}
+
+#[test]
+fn an_unknown_key_is_named_with_line_caret_allowed_keys_and_a_guess() {
+    let text = with("band_k", "bandk = 0.3");
+    let message = refusal(&text);
+    let line = text.lines().position(|line| line.starts_with("bandk")).unwrap() + 1;
+    assert!(message.starts_with(&format!("x.toml:{line}:1: unknown key `bandk`")), "{message}");
+    assert!(message.contains("^^^^^"), "{message}");
+    assert!(message.contains("allowed here: band_k, hold_s"), "{message}");
+    assert!(message.contains("did you mean `band_k`?"), "{message}");
+}
+
+#[test]
+fn an_unknown_table_is_refused() {
+    let message = refusal(&format!("{}\n[sook]\nband_k = 1.0\n", quickstart()));
+    assert!(message.contains("unknown key `sook`") && message.contains("did you mean `soak`?"), "{message}");
+}
+
+#[test]
+fn a_missing_physical_quantity_is_refused() {
+    let message = refusal(&with("gamma_near", "# gone"));
+    assert!(message.contains("missing field `gamma_near`"), "{message}");
+}
+
+#[test]
+fn a_newer_schema_is_refused_by_its_version() {
+    let message = refusal(&with("schema = 1", "schema = 7"));
+    assert!(message.contains("schema 7 is newer") && message.contains("x.toml:"), "{message}");
+}
+
+#[test]
+fn limits_and_impossible_combinations_are_refused_with_their_key() {
+    for (line, replacement, key) in [
+        ("levels_k = [373", "levels_k = [373.0, 900.0]", "campaign.levels_k"),
+        ("levels_k = [373", "levels_k = [373.0, 373.0]", "campaign.levels_k"),
+        ("levels_k = [373", "levels_k = [100.0, 130.0]", "campaign.levels_k"),
+        ("pause_s", "pause_s = 2.0", "campaign.pause_s"),
+        ("blanks = ", "blanks = 0", "campaign.blanks"),
+        ("frame_period_s", "frame_period_s = 0.001", "campaign.frame_period_s"),
+        ("injection_s", "injection_s = 0.1", "trigger.injection_s"),
+        ("gamma_near", "gamma_near = 1.2", "optics.gamma_near"),
+        ("emissivity_plate", "emissivity_plate = 0.0", "optics.emissivity_plate"),
+        ("estimator", "estimator = \"mine\"", "fit.estimator"),
+        ("saturation_count", "saturation_count = 20000", "camera.saturation_count"),
+        ("limit_k", "limit_k = 500.0", "campaign.levels_k"),
+        ("hold_s", "hold_s = 1.0", "soak.hold_s"),
+        ("epoch", "epoch = \"yesterday\"", "campaign.epoch"),
+    ] {
+        let message = refusal(&with(line, replacement));
+        assert!(message.contains(&format!("`{key}`")), "{replacement}: {message}");
+        assert!(message.contains("x.toml:"), "{replacement}: no place in {message}");
+    }
+}
+
+#[test]
+fn every_unknown_key_is_refused_in_every_table() {
+    let text = quickstart();
+    for (index, line) in text.lines().enumerate() {
+        let is_key = line.contains('=') && !line.trim_start().starts_with(['#', '[']) && !line.contains("[[");
+        let top_level_array_item = line.trim_start().starts_with('{');
+        if !is_key || top_level_array_item {
+            continue;
+        }
+        let lines: Vec<String> = text
+            .lines()
+            .enumerate()
+            .map(|(i, l)| if i == index { format!("zz_{}", l.trim_start()) } else { l.to_owned() })
+            .collect();
+        let message = refusal(&lines.join("\n"));
+        assert!(message.contains("zz_"), "line {}: {message}", index + 1);
+    }
+}
