@@ -2,6 +2,7 @@
 //!
 //! Knows nothing of droplets, vapour or fuels; those are turned into coefficients in `scene::optics`.
 
+use super::error::TracerError;
 use crate::light::phase::PhaseFunction;
 
 /// Marks an empty cell in [`GridMedium::index`].
@@ -35,4 +36,71 @@ pub struct GridMedium {
     pub emission: Vec<f64>,
     /// Phase function of each group, for the whole medium.
     pub phase: Vec<PhaseFunction>,
+}
+
+impl GridMedium {
+    /// Number of occupied cells.
+    pub fn occupied(&self) -> usize {
+        self.k_ext.len() / self.groups.max(1)
+    }
+
+    /// Checks shapes and values: every loop of the tracer relies on it.
+    ///
+    /// # Errors
+    ///
+    /// [`TracerError::Shape`] where an array does not fit, [`TracerError::Geometry`] for a box without volume,
+    /// [`TracerError::Coefficient`] for a negative or undefined coefficient or scattering above extinction.
+    pub fn check(&self) -> Result<(), TracerError> {
+        let shape = |what, found, expected| {
+            if found == expected { Ok(()) } else { Err(TracerError::Shape { what, found, expected }) }
+        };
+        if self.groups == 0 || self.channels == 0 {
+            return Err(TracerError::Geometry {
+                what: "the numbers of groups and channels",
+                condition: "at least 1",
+            });
+        }
+        let span = |a: usize| self.upper_m[a] - self.lower_m[a];
+        if !(0..3).all(|a| self.cells[a] > 0 && span(a) > 0.0 && span(a).is_finite()) {
+            return Err(TracerError::Geometry {
+                what: "the medium's box",
+                condition: "of positive finite size with at least one cell",
+            });
+        }
+        shape("index", self.index.len(), self.cells[0] * self.cells[1] * self.cells[2])?;
+        let occupied = self.occupied();
+        shape("k_ext", self.k_ext.len(), occupied * self.groups)?;
+        shape("k_sca", self.k_sca.len(), self.k_ext.len())?;
+        shape("emission", self.emission.len(), self.k_ext.len() * self.channels)?;
+        shape("phase", self.phase.len(), self.groups)?;
+        if let Some(entry) = self.index.iter().position(|&i| i != EMPTY && i as usize >= occupied) {
+            let value = f64::from(self.index[entry]);
+            return Err(TracerError::Coefficient {
+                what: "index",
+                entry,
+                value,
+                condition: "an ordinal or EMPTY",
+            });
+        }
+        let positive = |what, values: &[f64]| match values.iter().position(|v| !(v.is_finite() && *v >= 0.0))
+        {
+            Some(entry) => Err(TracerError::Coefficient {
+                what,
+                entry,
+                value: values[entry],
+                condition: "finite and not negative",
+            }),
+            None => Ok(()),
+        };
+        positive("k_ext", &self.k_ext)?;
+        positive("k_sca", &self.k_sca)?;
+        positive("emission", &self.emission)?;
+        // A sum of two roundings may exceed the extinction by a few units in the last place.
+        let above = |(&s, &e): (&f64, &f64)| s > e * (1.0 + 1e-12);
+        if let Some(entry) = self.k_sca.iter().zip(&self.k_ext).position(above) {
+            let value = self.k_sca[entry];
+            return Err(TracerError::Coefficient { what: "k_sca", entry, value, condition: "at most k_ext" });
+        }
+        Ok(())
+    }
 }

@@ -1,4 +1,17 @@
 //! Backward ray tracing: from a medium and a camera to the transport operator.
 
+pub mod camera;
+pub mod error;
+pub mod image;
 pub mod medium;
 pub mod operator;
+pub mod plate;
+
+mod cache;
+mod gather;
+mod lanes;
+mod lattice;
+mod packed;
+mod reconstruct;
+mod sobol;
+mod vector;

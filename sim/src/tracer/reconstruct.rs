@@ -1,0 +1,162 @@
+//! From the sums of the leaves to a source function per cell: filtered, interpolated, divided by plate + walls + medium.
+
+#![expect(clippy::needless_range_loop, reason = "loops over lanes step through several arrays at once")]
+
+use super::cache::{Cache, Leaves, ROWS_BEFORE_CHANNELS};
+use super::lanes::Lane;
+use super::packed::Packed;
+use rayon::prelude::*;
+
+/// What scattering adds to the sights in each cell.
+pub(super) struct Scattered<const N: usize> {
+    /// Rows per cell: plate, then the channels; J per group, `[cell · rows + row]`.
+    pub(super) value: Vec<[Lane; N]>,
+    /// Rows per cell.
+    pub(super) rows: usize,
+    /// Half the difference of the two halves of the samples, plate and channel 0, mean over groups, `[cell]`.
+    pub(super) noise: Vec<[f32; 2]>,
+}
+
+/// The source function of every occupied cell from the cache's sums.
+pub(super) fn per_cell<const N: usize>(
+    medium: &Packed<N>,
+    leaves: &Leaves,
+    cache: &Cache,
+    sums: &[[Lane; N]],
+) -> Scattered<N> {
+    let filtered = filter(medium, leaves, cache, sums);
+    let rows = cache.rows - 1;
+    let cells = medium.k.len();
+    let places = places(medium);
+    let mut value = vec![[Lane::ZERO; N]; cells * rows];
+    let noise = value
+        .par_chunks_mut(rows.max(1))
+        .zip(places.par_iter())
+        .enumerate()
+        .with_min_len(256)
+        .map(|(ordinal, (value, &cell))| {
+            let mut sum = vec![[Lane::ZERO; N]; cache.rows];
+            let mut halves = [[0.0_f32; 3]; 2];
+            for (leaf, weight) in leaves.around(medium, ordinal, cell) {
+                for (to, from) in
+                    sum.iter_mut().zip(&filtered.sums[leaf * cache.rows..(leaf + 1) * cache.rows])
+                {
+                    for n in 0..N {
+                        to[n] = to[n] + from[n].map(|v| weight * v);
+                    }
+                }
+                add_halves(&mut halves, &filtered.halves[leaf], weight);
+            }
+            divide(value, &sum);
+            half_difference(&halves)
+        })
+        .collect();
+    Scattered { value, rows, noise }
+}
+
+/// Divides plate and channels by plate + walls + channel 0, group by group.
+fn divide<const N: usize>(value: &mut [[Lane; N]], sum: &[[Lane; N]]) {
+    for n in 0..N {
+        let total = sum[0][n] + sum[1][n] + sum[ROWS_BEFORE_CHANNELS][n];
+        let over = |v: Lane| v.zip(total, |v, t| if t > 0.0 { v / t } else { 0.0 });
+        value[0][n] = over(sum[0][n]);
+        for (to, from) in value[1..].iter_mut().zip(&sum[ROWS_BEFORE_CHANNELS..]) {
+            to[n] = over(from[n]);
+        }
+    }
+}
+
+fn add_halves(to: &mut [[f32; 3]; 2], from: &[[f32; 3]; 2], weight: f32) {
+    for (to, from) in to.iter_mut().zip(from) {
+        for (to, from) in to.iter_mut().zip(from) {
+            *to += weight * from;
+        }
+    }
+}
+
+/// (A − B)/2 of plate and channel 0; half the value where one half has no samples.
+fn half_difference(halves: &[[f32; 3]; 2]) -> [f32; 2] {
+    let [a, b] = halves.map(|h| {
+        let total = h[0] + h[1] + h[2];
+        if total > 0.0 { Some([h[0] / total, h[2] / total]) } else { None }
+    });
+    match (a, b) {
+        (Some(a), Some(b)) => [0.5 * (a[0] - b[0]), 0.5 * (a[1] - b[1])],
+        (Some(one), None) | (None, Some(one)) => one.map(|v| 0.5 * v),
+        (None, None) => [0.5; 2],
+    }
+}
+
+struct Filtered<const N: usize> {
+    sums: Vec<[Lane; N]>,
+    halves: Vec<[[f32; 3]; 2]>,
+}
+
+/// Adds to each leaf the samples of its neighbours, weighted by how near they are in space and optical depth.
+fn filter<const N: usize>(
+    medium: &Packed<N>,
+    leaves: &Leaves,
+    cache: &Cache,
+    sums: &[[Lane; N]],
+) -> Filtered<N> {
+    let mut out = vec![[Lane::ZERO; N]; sums.len()];
+    let halves = out
+        .par_chunks_mut(cache.rows)
+        .enumerate()
+        .with_min_len(64)
+        .map(|(leaf, out)| {
+            let mut halves = [[0.0_f32; 3]; 2];
+            for (other, weight) in leaves.neighbours(medium, leaf) {
+                for (to, from) in out.iter_mut().zip(&sums[other * cache.rows..(other + 1) * cache.rows]) {
+                    for n in 0..N {
+                        to[n] = to[n] + from[n].map(|v| weight * v);
+                    }
+                }
+                add_halves(&mut halves, &cache.halves[other], weight);
+            }
+            // Back to sums that count a leaf's own visits, so that interpolation weights leaves equally.
+            let total: f32 = halves.iter().map(|h| h.iter().sum::<f32>()).sum::<f32>();
+            if total > 0.0 {
+                out.iter_mut()
+                    .for_each(|row| row.iter_mut().for_each(|lane| *lane = lane.map(|v| v / total)));
+                halves.iter_mut().for_each(|h| h.iter_mut().for_each(|v| *v /= total));
+            }
+            halves
+        })
+        .collect();
+    Filtered { sums: out, halves }
+}
+
+/// The cell of every ordinal.
+#[expect(clippy::cast_possible_truncation, reason = "cells per axis are below 65536")]
+fn places<const N: usize>(medium: &Packed<N>) -> Vec<[u16; 3]> {
+    let cells = medium.lattice.cells;
+    let mut places = vec![[0_u16; 3]; medium.k.len()];
+    for x in 0..cells[0] {
+        for y in 0..cells[1] {
+            for z in 0..cells[2] {
+                let ordinal = medium.lattice.index[(x * cells[1] + y) * cells[2] + z];
+                if ordinal != super::medium::EMPTY {
+                    places[ordinal as usize] = [x as u16, y as u16, z as u16];
+                }
+            }
+        }
+    }
+    places
+}
+
+impl<const N: usize> Scattered<N> {
+    /// Turns J into what the gather adds: albedo · J for the plate, source + albedo · J for the channels.
+    pub(super) fn times_albedo(&mut self, medium: &Packed<N>) {
+        let channels = medium.channels;
+        self.value.par_chunks_mut(self.rows).enumerate().with_min_len(256).for_each(|(o, rows)| {
+            for n in 0..N {
+                let albedo = medium.albedo[o][n];
+                rows[0][n] = rows[0][n] * albedo;
+                for c in 0..channels {
+                    rows[1 + c][n] = medium.source[o * channels + c][n] + rows[1 + c][n] * albedo;
+                }
+            }
+        });
+    }
+}
