@@ -429,11 +429,7 @@ fn refuse<T>(key: &str, why: &str) -> Result<T, RigError> {
 }
 
 fn positive(key: &str, value: f64) -> Result<(), RigError> {
-    if value > 0.0 && value.is_finite() {
-        Ok(())
-    } else {
-        refuse(key, &format!("{value} is not above zero"))
-    }
+    if value > 0.0 && value.is_finite() { Ok(()) } else { refuse(key, &format!("{value} is not above zero")) }
 }
 
 fn not_negative(key: &str, value: f64) -> Result<(), RigError> {

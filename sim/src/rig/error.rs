@@ -12,7 +12,9 @@ pub enum RigError {
         why: String,
     },
     /// simulated rig: joining rendered images: their shapes do not fit each other or the band.
-    #[error("simulated rig: joining rendered images: {why}. Render all density scales with one scene and band.")]
+    #[error(
+        "simulated rig: joining rendered images: {why}. Render all density scales with one scene and band."
+    )]
     Shape {
         /// Which shapes, found and expected.
         why: String,

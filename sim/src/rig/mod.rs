@@ -1,9 +1,20 @@
 //! The simulated rig: one physical world behind every instrument's own protocol.
 
+pub mod camera;
+pub mod chamber;
 pub mod config;
+pub mod detector;
 mod error;
-pub mod plate;
+pub mod fluctuation;
 pub mod fluke_418x;
+pub mod noise;
+pub mod plate;
+pub mod pulse;
 pub mod quantum_9520;
+pub mod radiometry;
+#[cfg(test)]
+mod sample;
+pub mod sights;
+pub mod truth;
 
 pub use error::RigError;
