@@ -286,7 +286,10 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn reference() -> Vec<(Sphere, [(f64, f64); 5], String)> {
+    /// A sphere, its five numbers with their condition numbers, its name.
+    type Row = (Sphere, [(f64, f64); 5], String);
+
+    fn reference() -> Vec<Row> {
         let text = include_str!("../../../tests/data/light/mie_efficiencies.csv");
         let names: Vec<&str> = text.lines().next().unwrap().split(',').collect();
         let at = |name: &str| names.iter().position(|own| *own == name).unwrap();
