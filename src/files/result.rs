@@ -1,0 +1,185 @@
+//! The set of files of one map: dit.npz, dit.exr, temperature_k.tif and three previews.
+
+use super::image::{Picture, exr_to_bytes, tiff_to_bytes};
+use super::npy::{Array, Values};
+use super::npz::{self, Packing};
+use super::preview::{self, Colours, Preview};
+use super::{FileError, npz::to_bytes};
+use crate::estimate::map::{CHANNELS, DitMap, flag};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Version of the set of channels and of their meaning.
+pub const MAP_SCHEMA: u32 = 1;
+
+/// What goes with a map into its files. Nothing of it may depend on time or host: equal results are equal bytes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ResultMeta {
+    /// What the map is of: the campaign's or stack's name, above the previews.
+    pub title: String,
+    /// More for the JSON text in the EXR: calibration, gammas, sources. `Null` for nothing.
+    pub more: serde_json::Value,
+}
+
+/// Writes all files of `map` into `dir`, each complete or not at all, and returns their paths.
+///
+/// # Errors
+///
+/// When the folder cannot be made or a file not be written.
+pub fn write_result(dir: &Path, map: &DitMap, meta: &ResultMeta) -> Result<Vec<PathBuf>, FileError> {
+    std::fs::create_dir_all(dir).map_err(FileError::io(dir))?;
+    let mut files = vec![
+        ("dit.npz", npz_bytes(map)),
+        ("dit.exr", exr_bytes(map, meta)),
+        ("temperature_k.tif", tiff_to_bytes(map.rows, map.columns, &narrow(&map.temperature_k))),
+    ];
+    files.extend(previews(map, &meta.title).into_iter().map(|(name, _, bytes)| (name, bytes)));
+    let mut paths = Vec::new();
+    for (name, bytes) in files {
+        let path = dir.join(name);
+        let bytes = bytes.map_err(FileError::io(&path))?;
+        write_atomic(&path, &bytes)?;
+        paths.push(path);
+    }
+    Ok(paths)
+}
+
+/// Writes a file under another name, makes it durable, and renames it: readers see all of it or nothing.
+///
+/// # Errors
+///
+/// When it cannot be written or renamed.
+pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let part = path.with_file_name(format!(".{name}.part"));
+    let write = || -> std::io::Result<()> {
+        let mut file = std::fs::File::create(&part)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        std::fs::rename(&part, path)
+    };
+    write().map_err(FileError::io(path))
+}
+
+/// The bytes of dit.npz: f64 channels `[rows, columns]`, count u32 `[levels, rows, columns]`, flags u32.
+///
+/// # Errors
+///
+/// As [`npz::to_bytes`].
+pub fn npz_bytes(map: &DitMap) -> std::io::Result<Vec<u8>> {
+    let shape = vec![map.rows, map.columns];
+    let plane = |values: &[f64]| Array { shape: shape.clone(), values: Values::F64(values.to_vec()) };
+    let mut arrays: Vec<(&str, Array)> =
+        CHANNELS.iter().zip(map.channels()).map(|((name, _), values)| (*name, plane(values))).collect();
+    let levels = vec![map.levels, map.rows, map.columns];
+    arrays.push(("count", Array { shape: levels, values: Values::U32(map.count.clone()) }));
+    arrays.push(("flags", Array { shape: shape.clone(), values: Values::U32(map.flags.clone()) }));
+    let borrowed: Vec<(&str, &Array)> = arrays.iter().map(|(name, array)| (*name, array)).collect();
+    to_bytes(&borrowed, Packing::Stored)
+}
+
+/// A map's arrays as read from dit.npz, by name.
+///
+/// # Errors
+///
+/// As [`npz::read`].
+pub fn read_npz(path: &Path) -> Result<Vec<(String, Array)>, FileError> {
+    npz::read(path)
+}
+
+fn exr_bytes(map: &DitMap, meta: &ResultMeta) -> std::io::Result<Vec<u8>> {
+    let mut channels: Vec<(String, Vec<f32>)> = CHANNELS
+        .iter()
+        .zip(map.channels())
+        .map(|((name, _), values)| ((*name).to_owned(), narrow(values)))
+        .collect();
+    channels.push(("Y".into(), narrow(&map.temperature_k)));
+    // Bits up to 2²⁴ and counts below it are exact in f32.
+    #[expect(clippy::cast_precision_loss, reason = "below 2^24")]
+    let exact = |values: &[u32]| values.iter().map(|&v| v as f32).collect::<Vec<_>>();
+    channels.push(("flags".into(), exact(&map.flags)));
+    let pixels = map.rows * map.columns;
+    for level in 0..map.levels {
+        channels.push((format!("count_{level:02}"), exact(&map.count[level * pixels..(level + 1) * pixels])));
+    }
+    let description = description(map, meta).to_string();
+    // EXR texts are one byte per character; JSON can say the rest in escapes.
+    let description = description.chars().map(escaped).collect();
+    exr_to_bytes(&Picture { rows: map.rows, columns: map.columns, channels, description })
+}
+
+fn escaped(character: char) -> String {
+    if character.is_ascii() {
+        return character.to_string();
+    }
+    let mut units = [0; 2];
+    character.encode_utf16(&mut units).iter().map(|unit| format!("\\u{unit:04x}")).collect()
+}
+
+/// Units, flag legend and versions: the JSON text in the EXR.
+pub fn description(map: &DitMap, meta: &ResultMeta) -> serde_json::Value {
+    let units: serde_json::Map<String, serde_json::Value> =
+        CHANNELS.iter().map(|(name, unit)| ((*name).to_owned(), (*unit).into())).collect();
+    let flags: Vec<serde_json::Value> = flag::LEGEND
+        .iter()
+        .map(|(bit, name, meaning)| serde_json::json!({ "bit": bit, "name": name, "meaning": meaning }))
+        .collect();
+    serde_json::json!({
+        "schema": MAP_SCHEMA,
+        "software": concat!("ditd ", env!("CARGO_PKG_VERSION")),
+        "title": meta.title,
+        "estimator": map.estimator.name(),
+        "confidence": map.confidence,
+        "units": units,
+        "flags": flags,
+        "more": meta.more,
+    })
+}
+
+/// The previews: file name, caption and PNG bytes. Temperatures that are not resolved are grey.
+pub fn previews(map: &DitMap, title: &str) -> Vec<(&'static str, &'static str, std::io::Result<Vec<u8>>)> {
+    let resolved = |values: &[f64]| -> Vec<f64> {
+        let hidden = flag::NOT_RESOLVED | flag::NEGATIVE_EMISSIVITY | flag::NO_PLATE;
+        values.iter().zip(&map.flags).map(|(&v, f)| if f & hidden == 0 { v } else { f64::NAN }).collect()
+    };
+    let temperature = resolved(&map.temperature_k);
+    let sigma = resolved(&map.sigma_temperature_k);
+    // Titles are drawn with the embedded font; a long one is cut rather than widening the picture.
+    let title: String = title.chars().take(24).collect();
+    let draw = |values: &[f64], range: (f64, f64), what: &str, unit: &str, colours: Colours| {
+        let title = if title.is_empty() { what.to_owned() } else { format!("{title}: {what}") };
+        preview::to_png(&Preview {
+            rows: map.rows,
+            columns: map.columns,
+            values,
+            low: range.0,
+            high: range.1,
+            title: &title,
+            unit,
+            colours,
+        })
+    };
+    let above_zero = |values: &[f64]| (0.0, preview::round_range(values).1.max(1e-6));
+    vec![
+        (
+            "preview_emissivity.png",
+            "Emissivity",
+            draw(&map.emissivity, (0.0, 1.0), "emissivity", "1", Colours::Viridis),
+        ),
+        (
+            "preview_temperature.png",
+            "Effective temperature",
+            draw(&temperature, preview::round_range(&temperature), "T_eff", "K", Colours::Inferno),
+        ),
+        (
+            "preview_sigma_temperature.png",
+            "Standard deviation of the temperature",
+            draw(&sigma, above_zero(&sigma), "sigma T", "K", Colours::Viridis),
+        ),
+    ]
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "pictures store f32")]
+fn narrow(values: &[f64]) -> Vec<f32> {
+    values.iter().map(|&v| v as f32).collect()
+}
