@@ -1,0 +1,235 @@
+//! Builds the simulated world of a `[rig]` table: spray → coefficients → operators at several densities → world.
+//!
+//! Heavy (it renders) and pure: no clock, no tokio; files come through a function that the caller hands in.
+
+use super::chamber::{World, WorldParts};
+use super::config::{RigConfig, SprayConfig, SpraySource, WindowConfig};
+use super::radiometry::{Enclosure, Optics, PlateSurfaceSpectrum, Spectrum, WindowSpectrum};
+use super::sights::{ScaleNode, Sights};
+use crate::light::band::{Band, BandError, Response};
+use crate::light::fuel::{Fuel, FuelError};
+use crate::light::window::{Material, Plate as WindowPlate};
+use crate::rig::RigError;
+use crate::scene::deposit::{self, DepositOptions};
+use crate::scene::field::{CfdSpray, SceneError};
+use crate::scene::optics::{self, OpticsError, Source, Species};
+use crate::scene::import::{self, ImportOptions, Time};
+use crate::scene::compact;
+use crate::tracer::camera::{Camera, PixelFilter, Projection};
+use crate::tracer::error::TracerError;
+use crate::tracer::image::{RenderOptions, render_image};
+use crate::tracer::medium::GridMedium;
+use crate::tracer::plate::PlateShape;
+use std::path::Path;
+
+/// The spray that is part of the program.
+pub const EMBEDDED: &str = "eighthole_4bar_523K_0.9ms";
+
+/// Why a world cannot be built.
+#[derive(Debug, thiserror::Error)]
+pub enum BuildError {
+    /// The description.
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    /// The spray.
+    #[error("simulated rig: reading the spray: {0}")]
+    Scene(#[from] SceneError),
+    /// The filter.
+    #[error("simulated rig: the filter: {0}")]
+    Band(#[from] BandError),
+    /// The fuel.
+    #[error("simulated rig: the fuel: {0}")]
+    Fuel(#[from] FuelError),
+    /// The coefficients.
+    #[error("simulated rig: coefficients of the spray: {0}")]
+    Optics(#[from] OpticsError),
+    /// The rendering.
+    #[error("simulated rig: rendering: {0}")]
+    Tracer(#[from] TracerError),
+}
+
+/// What the camera stands in front of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum View {
+    /// The bare plate: no chamber, no windows, no spray.
+    Bench,
+    /// The plate through the chamber.
+    Chamber,
+}
+
+/// Builds the world that `config` describes. `folder` is where relative paths start; `progress` is told what is
+/// being done and how far it is (0 … 1).
+///
+/// # Errors
+///
+/// [`BuildError`] naming what cannot be used.
+pub fn world(
+    config: &RigConfig,
+    view: View,
+    seed: u64,
+    folder: &Path,
+    progress: &(dyn Fn(&str, f64) + Sync),
+) -> Result<World, BuildError> {
+    config.validate()?;
+    let band = band(config)?;
+    let groups = band.wavelengths_um.len();
+    let spectrum = Spectrum { wavelengths_um: band.wavelengths_um.clone(), weights: band.weights.clone() };
+    let plate = PlateSurfaceSpectrum {
+        emissivity: vec![config.plate_view.emissivity; groups],
+        lab_temperature_k: config.plate_view.lab_temperature_k,
+    };
+    let chamber = config.chamber.as_ref().filter(|_| view == View::Chamber);
+    let optics = match chamber {
+        None => Optics::bench(spectrum, plate, &config.detector)?,
+        Some(chamber) => {
+            let window = |window: Option<&WindowConfig>| window_spectrum(window, &band, chamber.wall_temperature_k);
+            let enclosure = Enclosure {
+                near: window(config.window.as_ref().map(|both| &both.near))?,
+                far: window(config.window.as_ref().map(|both| &both.far))?,
+                gas_temperature_k: chamber.gas_temperature_k,
+                wall_temperature_k: chamber.wall_temperature_k,
+                wall_emissivity: chamber.wall_emissivity,
+                window_fraction: chamber.window_fraction,
+            };
+            Optics::chamber(spectrum, plate, enclosure, &config.detector)?
+        }
+    };
+    let sights = match (chamber, &config.spray) {
+        (Some(_), Some(spray)) => spray_sights(config, spray, &band, seed, folder, progress)?,
+        _ => {
+            let pixels = config.view.rows * config.view.columns;
+            Sights::empty(config.view.rows, config.view.columns, vec![1.0; pixels])?
+        }
+    };
+    Ok(World::new(WorldParts {
+        optics,
+        sights,
+        detector: config.detector.clone(),
+        fluctuation: config.fluctuation.filter(|_| chamber.is_some()),
+        residual: chamber.and_then(|chamber| chamber.residual),
+        seed,
+    })?)
+}
+
+/// The wavelength samples of the filter, with its leak as samples of their own.
+fn band(config: &RigConfig) -> Result<Band, BuildError> {
+    let columns = [config.filter.detector.as_str(), config.filter.name.as_str(), "lens_transmission_model"];
+    Ok(Band::sample(&Response::shipped(&columns)?, config.filter.samples, true)?)
+}
+
+/// A window at the band's wavelengths; no window lets everything through.
+fn window_spectrum(
+    window: Option<&WindowConfig>,
+    band: &Band,
+    wall_temperature_k: f64,
+) -> Result<WindowSpectrum, BuildError> {
+    let groups = band.wavelengths_um.len();
+    let Some(window) = window else {
+        return Ok(WindowSpectrum {
+            transmittance: vec![1.0; groups],
+            reflectance: vec![0.0; groups],
+            absorptance: vec![0.0; groups],
+            temperature_k: wall_temperature_k,
+        });
+    };
+    let material = Material::named(&window.material).ok_or_else(|| RigError::Config {
+        key: "rig.window.material".to_owned(),
+        why: format!("{:?} is unknown; there are CaF2, sapphire, fused-silica", window.material),
+    })?;
+    let plate = WindowPlate { material, thickness_m: window.thickness_m };
+    let optics: Vec<_> =
+        band.wavelengths_um.iter().map(|um| plate.optics(*um, window.temperature_k)).collect();
+    Ok(WindowSpectrum {
+        transmittance: optics.iter().map(|one| one.transmittance).collect(),
+        reflectance: optics.iter().map(|one| one.reflectance).collect(),
+        absorptance: optics.iter().map(|one| one.absorptance).collect(),
+        temperature_k: window.temperature_k,
+    })
+}
+
+fn spray_sights(
+    config: &RigConfig,
+    spray: &SprayConfig,
+    band: &Band,
+    seed: u64,
+    folder: &Path,
+    progress: &(dyn Fn(&str, f64) + Sync),
+) -> Result<Sights, BuildError> {
+    progress("reading the spray", 0.0);
+    let cfd = read_spray(spray, folder)?;
+    let options = DepositOptions { cell_m: Some(spray.cell_m), ..DepositOptions::default() };
+    let (field, _) = deposit::field(&cfd, &options)?;
+    let fuel = Fuel::named(&spray.fuel)?;
+    let offset_k = spray.temperature_offset_k;
+    let sources = [
+        Source::Unit { of: Species::All },
+        Source::Radiance { of: Species::All, offset_k: 0.0 },
+        Source::Radiance { of: Species::All, offset_k: -offset_k },
+        Source::Radiance { of: Species::All, offset_k },
+        Source::Unit { of: Species::Droplets },
+        Source::Radiance { of: Species::Droplets, offset_k: 0.0 },
+    ];
+    progress("cross-sections of droplets and vapour", 0.02);
+    let medium = optics::medium(&field, &fuel, band, &sources)?;
+    let camera = camera(config);
+    let plate = PlateShape::Disc {
+        centre_m: config.plate_view.centre_m,
+        facing: config.plate_view.facing,
+        diameter_m: config.plate_view.diameter_m,
+    };
+    let nodes = spray.scales.len() as f64;
+    let mut rendered = Vec::with_capacity(spray.scales.len());
+    for (index, &scale) in spray.scales.iter().enumerate() {
+        let text = format!("rays through the spray, density × {scale}");
+        let begun = index as f64;
+        let told = |done: f64| progress(&text, 0.05 + 0.95 * (begun + done) / nodes);
+        let options = RenderOptions { target_error: config.target_error, seed, ..RenderOptions::default() };
+        let operator = render_image(&scaled(&medium, scale), &camera, Some(&plate), &options, &told)?;
+        rendered.push(ScaleNode { scale, operator });
+    }
+    Ok(Sights::new(rendered, offset_k)?)
+}
+
+/// The spray's parcels and cells.
+fn read_spray(spray: &SprayConfig, folder: &Path) -> Result<CfdSpray, BuildError> {
+    match &spray.source {
+        SpraySource::Embedded(name) if name == EMBEDDED => Ok(compact::shipped()?),
+        SpraySource::Embedded(name) => Err(BuildError::Rig(RigError::Config {
+            key: "rig.spray.source".to_owned(),
+            why: format!("no embedded spray is called {name:?}; there is {EMBEDDED:?}"),
+        })),
+        SpraySource::Path(path) => {
+            let time = spray.time_s.map_or(Time::Latest, Time::At);
+            Ok(import::read(&folder.join(path), time, &ImportOptions::default())?)
+        }
+    }
+}
+
+fn camera(config: &RigConfig) -> Camera {
+    let view = &config.view;
+    let projection = match (view.horizontal_fov_deg, view.width_m) {
+        (Some(horizontal_fov_deg), _) => Projection::Pinhole { horizontal_fov_deg },
+        // The check of the configuration leaves no third case.
+        (None, width_m) => Projection::Telecentric { width_m: width_m.unwrap_or(0.0) },
+    };
+    Camera {
+        projection,
+        position_m: view.position_m,
+        look_at_m: view.look_at_m,
+        up: view.up,
+        columns: view.columns,
+        rows: view.rows,
+        pixel_filter: PixelFilter::Box,
+    }
+}
+
+/// The same spray with all concentrations multiplied.
+fn scaled(medium: &GridMedium, factor: f64) -> GridMedium {
+    let times = |values: &[f64]| values.iter().map(|value| value * factor).collect();
+    GridMedium {
+        k_ext: times(&medium.k_ext),
+        k_sca: times(&medium.k_sca),
+        emission: times(&medium.emission),
+        ..medium.clone()
+    }
+}

@@ -1,0 +1,283 @@
+//! Opens a rig: instruments on their wires, or the simulated world behind in-memory ones.
+
+use crate::campaign::Instruments;
+use crate::config::{Config, Pace};
+use crate::reduce::Reduced;
+use crate::truth::WorldTruth;
+use ditd_drivers::error::DriverError;
+use ditd_drivers::fluke_418x::Fluke418x;
+use ditd_drivers::quantum_9520::{Quantum9520, TriggerLimits};
+use ditd_drivers::wire::{self, Wire};
+use ditd_sim::rig::build::{self, BuildError};
+use ditd_sim::rig::camera::{SimCamera, WorldState};
+use ditd_sim::rig::chamber::World;
+use ditd_sim::rig::plate::Plate;
+use ditd_sim::rig::truth::{Sampling, Truth};
+use ditd_sim::rig::{fluke_418x as fluke_sim, quantum_9520 as quantum_sim};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::sync::mpsc;
+
+pub use ditd_sim::rig::build::View;
+
+/// Bytes that an in-memory wire holds before the sender waits: longer than any line of either protocol.
+const PIPE_BYTES: usize = 4096;
+
+/// Trigger pulses on their way to the simulated camera; when full, the trigger unit's task waits.
+const PULSES_MAX: usize = 16;
+
+/// Perfect shots of the statistical truth: 8 scrambles of 64 leave a standard error far below one run's noise.
+const TRUTH: Sampling = Sampling { points: 64, replicates: 8 };
+
+/// Temperatures of the exact calibration's table, in K.
+const CURVE_K: std::ops::RangeInclusive<u32> = 250..=850;
+
+/// Why a rig cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// An instrument's line.
+    #[error(transparent)]
+    Driver(#[from] DriverError),
+    /// The simulated world.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// Asked for something that this program or config does not have.
+    #[error("{0}")]
+    Config(String),
+}
+
+impl OpenError {
+    /// The process's exit status that stands for it.
+    pub fn code(&self) -> u8 {
+        match self {
+            Self::Driver(error) if error.is_missing_device() => 3,
+            Self::Driver(error) if error.is_interlock_or_limit() => 4,
+            Self::Driver(_) => 1,
+            Self::Build(_) | Self::Config(_) => 2,
+        }
+    }
+}
+
+/// Exposure times and the plate's true surface temperature at them, as the simulated camera saw it.
+type PlateLog = Arc<Mutex<Vec<(f64, f64)>>>;
+
+/// A rig that is ready to be opened; a simulated one is rendered.
+#[derive(Debug)]
+pub struct Prepared {
+    config: Config,
+    world: Option<Arc<World>>,
+    log: PlateLog,
+    elapsed_before_ns: std::sync::atomic::AtomicU64,
+}
+
+/// An open rig.
+#[derive(Debug)]
+pub struct Opened {
+    /// The instruments.
+    pub instruments: Instruments,
+}
+
+/// Renders the simulated world, if there is one.
+///
+/// # Errors
+///
+/// [`OpenError::Build`] naming what cannot be used.
+pub fn prepare(
+    config: &Config,
+    view: View,
+    folder: &Path,
+    progress: &(dyn Fn(&str, f64) + Sync),
+) -> Result<Prepared, OpenError> {
+    let world = match &config.rig {
+        Some(rig) => Some(Arc::new(build::world(rig, view, config.campaign.seed, folder, progress)?)),
+        None => None,
+    };
+    Ok(Prepared { world, ..without_world(config) })
+}
+
+/// A rig whose simulated camera, if it has one, sees nothing: enough to make it safe.
+pub fn without_world(config: &Config) -> Prepared {
+    Prepared {
+        config: config.clone(),
+        world: None,
+        log: PlateLog::default(),
+        elapsed_before_ns: std::sync::atomic::AtomicU64::new(0),
+    }
+}
+
+impl Prepared {
+    /// The runtime of the campaign: virtual time when everything is simulated, real time otherwise.
+    ///
+    /// # Errors
+    ///
+    /// The system's words.
+    pub fn runtime(&self) -> Result<tokio::runtime::Runtime, String> {
+        let mut builder = tokio::runtime::Builder::new_current_thread();
+        builder.enable_all();
+        builder.start_paused(self.is_virtual());
+        builder.build().map_err(|error| format!("starting the runtime: {error}"))
+    }
+
+    /// Whether the campaign runs in virtual time.
+    pub fn is_virtual(&self) -> bool {
+        let addresses = [&self.config.plate.address, &self.config.trigger.address, &self.config.camera.address];
+        self.config.campaign.pace == Pace::Max && addresses.iter().all(|address| *address == "sim")
+    }
+
+    /// Journal time at which a resumed campaign goes on, in ns.
+    pub fn elapsed_before_ns(&self) -> u64 {
+        self.elapsed_before_ns.load(std::sync::atomic::Ordering::Relaxed)
+    }
+
+    /// Sets [`Prepared::elapsed_before_ns`].
+    pub fn start_at(&self, elapsed_ns: u64) {
+        self.elapsed_before_ns.store(elapsed_ns, std::sync::atomic::Ordering::Relaxed);
+    }
+
+    /// Opens every instrument. Must run inside the campaign's runtime.
+    ///
+    /// # Errors
+    ///
+    /// [`OpenError`] naming the instrument.
+    pub async fn open(&self) -> Result<Opened, OpenError> {
+        let config = &self.config;
+        let start = tokio::time::Instant::now();
+        let rig = config.rig.as_ref();
+        let plate_wire = if config.plate.address == "sim" {
+            let rig = rig.ok_or_else(no_world)?;
+            let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
+            let plate = Arc::new(Mutex::new(Plate::new(&rig.plate, config.campaign.seed)));
+            tokio::spawn(fluke_sim::serve(theirs, Arc::clone(&plate), rig.calibrator.clone(), start));
+            (Wire::over(ours, "plate calibrator at sim"), Some(plate))
+        } else {
+            let baud = config.plate.baud.unwrap_or(ditd_drivers::fluke_418x::BAUD);
+            (wire::open(&config.plate.address, baud, "plate calibrator").await?, None)
+        };
+        let (plate_wire, plate) = plate_wire;
+        let (pulses, received) = mpsc::channel(PULSES_MAX);
+        let trigger_wire = if config.trigger.address == "sim" {
+            let rig = rig.ok_or_else(no_world)?;
+            let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
+            tokio::spawn(quantum_sim::serve(theirs, pulses, rig.pulser.clone(), start));
+            Wire::over(ours, "trigger unit at sim")
+        } else {
+            let baud = config.trigger.baud.unwrap_or(ditd_drivers::quantum_9520::BAUD);
+            wire::open(&config.trigger.address, baud, "trigger unit").await?
+        };
+        let camera = self.camera(plate, received)?;
+        let limits = TriggerLimits {
+            injection_max: Duration::from_secs_f64(config.trigger.injection_limit_s),
+            injection_interval_min: Duration::from_secs_f64(config.trigger.injection_interval_limit_s),
+            readout: Duration::from_secs_f64(config.camera.readout_s),
+        };
+        Ok(Opened {
+            instruments: Instruments {
+                plate: Box::new(Fluke418x::new(plate_wire)),
+                trigger: Box::new(Quantum9520::new(trigger_wire, limits)),
+                camera: Box::new(camera),
+            },
+        })
+    }
+
+    fn camera(
+        &self,
+        plate: Option<Arc<Mutex<Plate>>>,
+        pulses: mpsc::Receiver<ditd_sim::rig::pulse::Pulse>,
+    ) -> Result<SimCamera, OpenError> {
+        let rig = self.config.rig.as_ref().ok_or_else(no_world)?;
+        let world = match &self.world {
+            Some(world) => Arc::clone(world),
+            None => Arc::new(build::world(
+                &ditd_sim::rig::config::RigConfig { spray: None, ..rig.clone() },
+                View::Bench,
+                self.config.campaign.seed,
+                Path::new(""),
+                &|_, _| {},
+            )?),
+        };
+        let log = Arc::clone(&self.log);
+        let surface = move |now_s: f64| {
+            let kelvin = match &plate {
+                Some(plate) => {
+                    let mut plate = plate.lock().unwrap_or_else(PoisonError::into_inner);
+                    plate.advance(now_s);
+                    plate.surface_k()
+                }
+                // A real plate in front of a simulated camera: the camera sees the room.
+                None => 296.0,
+            };
+            log.lock().unwrap_or_else(PoisonError::into_inner).push((now_s, kelvin));
+            kelvin
+        };
+        Ok(SimCamera::switch_on(world, Box::new(surface), rig.faults.clone(), WorldState::default(), pulses))
+    }
+
+    /// What the simulated world knows of itself at the accepted shots; `None` on a real rig or without a spray.
+    ///
+    /// # Errors
+    ///
+    /// [`OpenError::Build`] when the world cannot tell.
+    pub fn truth(&self, reduced: &Reduced, config: &Config) -> Result<Option<WorldTruth>, OpenError> {
+        let (Some(world), Some(rig)) = (&self.world, &config.rig) else { return Ok(None) };
+        if rig.spray.is_none() || reduced.levels.iter().any(|level| level.spray_ns.is_empty()) {
+            return Ok(None);
+        }
+        let plate_k: Vec<f64> = reduced.levels.iter().map(|level| self.surface_at(&level.spray_ns)).collect();
+        if plate_k.iter().any(|kelvin| !kelvin.is_finite()) {
+            return Ok(None);
+        }
+        let integration_s = config.camera.integration_s;
+        let truth = Truth::new(world, &plate_k, integration_s, TRUTH).map_err(BuildError::from)?;
+        let optics = world.optics();
+        let mean_k = plate_k.iter().sum::<f64>() / plate_k.len() as f64;
+        let (_, gamma_near) = optics.window_transmittances(mean_k);
+        let image = |values: &[f64], fill: f64| truth.image(values, fill);
+        Ok(Some(WorldTruth {
+            rows: truth.rows,
+            columns: truth.columns,
+            x_counts: plate_k
+                .iter()
+                .map(|kelvin| {
+                    let (gamma_far, _) = optics.window_transmittances(*kelvin);
+                    gamma_far * optics.calibration_counts(*kelvin, integration_s)
+                })
+                .collect(),
+            plate_k,
+            difference_counts: truth.statistical.difference_counts.iter().map(|level| image(level, 0.0)).collect(),
+            difference_error_counts: truth
+                .statistical
+                .standard_error_counts
+                .iter()
+                .map(|level| image(level, 0.0))
+                .collect(),
+            gamma_near,
+            emissivity_plate: rig.plate_view.emissivity,
+            far_window_counts: optics.far_window_counts(integration_s),
+            curve_k: CURVE_K.map(f64::from).collect(),
+            curve_counts: CURVE_K.map(|t| optics.calibration_counts(f64::from(t), integration_s)).collect(),
+            physical_k: image(&truth.physical.temperature_k, f64::NAN),
+            physical_emissivity: image(&truth.physical.emissivity, 0.0),
+            droplets_k: image(&truth.droplets.temperature_k, f64::NAN),
+            droplets_emissivity: image(&truth.droplets.emissivity, 0.0),
+        }))
+    }
+
+    /// Mean true surface temperature at exposures with these time stamps (ns since the rig's start).
+    fn surface_at(&self, stamps_ns: &[u64]) -> f64 {
+        let log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
+        let seen: Vec<f64> = stamps_ns
+            .iter()
+            .filter_map(|stamp| {
+                let wanted = *stamp as f64 * 1e-9;
+                let after = log.partition_point(|(t, _)| *t < wanted - 1e-3);
+                log.get(after).filter(|(t, _)| (t - wanted).abs() < 1e-2).map(|(_, kelvin)| *kelvin)
+            })
+            .collect();
+        if seen.is_empty() { f64::NAN } else { seen.iter().sum::<f64>() / seen.len() as f64 }
+    }
+}
+
+fn no_world() -> OpenError {
+    OpenError::Config("address \"sim\" needs a [rig] table that describes the simulated world".to_owned())
+}
