@@ -1,1 +1,373 @@
-//! To be written.
+//! Recorded frames from elsewhere: a folder with `case.json`, `spray.npy` and `nospray.npy`.
+//!
+//! Frames are read one at a time and summed exactly; a second pass takes misfires out again for our own estimator.
+//! Knows nothing of run folders and journals.
+
+use crate::estimate::accumulate::{AccumulateError, Sums};
+use crate::estimate::calibration::{C2_UM_K, CalibrationFit, Range, SakumaHattori};
+use crate::estimate::gate::{self, Prediction};
+use crate::estimate::map::{self, CameraNoise, DitMap, Estimator, FitInputs};
+use crate::files::npy::{FrameReader, NpyError};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// A curve as `case.json` writes it.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct CaseCurve {
+    /// A, in counts.
+    #[serde(rename = "A")]
+    pub a_counts: f64,
+    /// a, in µm.
+    pub a_um: f64,
+    /// b, in µm K.
+    #[serde(rename = "b_um_K")]
+    pub b_um_k: f64,
+    /// The second radiation constant it was made with, in µm K; ours if absent.
+    #[serde(default, rename = "c2_um_K")]
+    pub c2_um_k: Option<f64>,
+}
+
+impl CaseCurve {
+    /// The curve with our constant: a and b scale with it, so nothing is lost.
+    pub fn curve(&self) -> SakumaHattori {
+        let scale = self.c2_um_k.map_or(1.0, |c2| C2_UM_K / c2);
+        SakumaHattori { a_counts: self.a_counts, a_um: self.a_um * scale, b_um_k: self.b_um_k * scale }
+    }
+}
+
+/// `case.json`. Keys that are not listed are ignored.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Case {
+    /// What to call it.
+    #[serde(default)]
+    pub name: String,
+    /// Pairs of each level, in the order of the frames.
+    pub pairs_per_setpoint: Vec<usize>,
+    /// Plate temperature of each level, in K.
+    #[serde(default, rename = "setpoints_K")]
+    pub setpoints_k: Vec<Option<f64>>,
+    /// x = γ·I_cal(T) of each level, in counts; null leaves the level out.
+    pub x_counts: Vec<Option<f64>>,
+    /// Transmittance of a window; both are taken alike.
+    pub gamma: f64,
+    /// Emissivity of the plate.
+    #[serde(rename = "eps_B")]
+    pub emissivity_plate: f64,
+    /// Samples from this count on are saturated.
+    pub saturation_count: u16,
+    /// Curve of the camera.
+    pub calibration: CaseCurve,
+    /// The far window's own light and what it mirrors, in counts; absent = 0.
+    #[serde(default)]
+    pub far_window_counts: f64,
+    /// The camera's noise; absent = rounding only.
+    #[serde(default)]
+    pub camera: Option<CameraNoise>,
+}
+
+/// Why a stack could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum StackError {
+    /// stack {path}: reading: {source}. Check that it is a folder with case.json, spray.npy and nospray.npy.
+    #[error(
+        "stack {path}: reading: {source}. Check that it is a folder with case.json, spray.npy and nospray.npy."
+    )]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// stack {path}: {reason}.
+    #[error("stack {path}: {reason}.")]
+    Case {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// stack: frames: {0}
+    #[error("stack: frames: {0}")]
+    Frames(#[from] NpyError),
+    /// stack {path}: {reason}. Frames are missing or case.json belongs to others.
+    #[error("stack {path}: {reason}. Frames are missing or case.json belongs to others.")]
+    Shape {
+        /// The folder.
+        path: PathBuf,
+        /// What does not fit.
+        reason: String,
+    },
+    /// stack: summing: {0}
+    #[error("stack: summing: {0}")]
+    Sums(#[from] AccumulateError),
+}
+
+/// A cycle that was left out of the map.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Rejected {
+    /// Cycle within its level, from 0.
+    pub cycle: usize,
+    /// Why.
+    pub reason: &'static str,
+    /// Its score: 1 for an ordinary shot, 0 for none.
+    pub score: f64,
+}
+
+/// What became of one level.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LevelSummary {
+    /// Plate temperature, in K.
+    pub plate_temperature_k: Option<f64>,
+    /// x, in counts; null = left out.
+    pub x_counts: Option<f64>,
+    /// Cycles in the stack.
+    pub cycles: usize,
+    /// Cycles in the map.
+    pub accepted: usize,
+    /// Cycles left out as a whole.
+    pub rejected: Vec<Rejected>,
+    /// Cycles in which at least one pixel was saturated.
+    pub cycles_with_saturation: usize,
+    /// Samples left out because of saturation, over all pixels and accepted cycles.
+    pub saturated_samples: u64,
+}
+
+/// A fitted stack.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fitted {
+    /// The map.
+    pub map: DitMap,
+    /// Its levels.
+    pub levels: Vec<LevelSummary>,
+}
+
+/// A stack that is ready to be summed.
+#[derive(Debug)]
+pub struct Stack {
+    dir: PathBuf,
+    /// What `case.json` says.
+    pub case: Case,
+    spray: FrameReader,
+    blank: FrameReader,
+}
+
+impl Stack {
+    /// Opens a stack and checks that its parts belong together.
+    ///
+    /// # Errors
+    ///
+    /// When a file is missing, cannot be understood, or the number and shape of frames do not fit `case.json`.
+    pub fn open(dir: &Path) -> Result<Self, StackError> {
+        let path = dir.join("case.json");
+        let text = std::fs::read_to_string(&path)
+            .map_err(|source| StackError::Io { path: path.clone(), source })?;
+        let case: Case = serde_json::from_str(&text)
+            .map_err(|e| StackError::Case { path: path.clone(), reason: e.to_string() })?;
+        check(&case).map_err(|reason| StackError::Case { path, reason })?;
+        let spray = FrameReader::open(&dir.join("spray.npy"))?;
+        let blank = FrameReader::open(&dir.join("nospray.npy"))?;
+        let shape = |reader: &FrameReader| [reader.frames, reader.rows, reader.columns];
+        let frames: usize = case.pairs_per_setpoint.iter().sum();
+        if shape(&spray) != shape(&blank) || spray.frames != frames {
+            let reason = format!(
+                "spray.npy is {:?}, nospray.npy {:?}, case.json says {frames} pairs",
+                shape(&spray),
+                shape(&blank)
+            );
+            return Err(StackError::Shape { path: dir.to_path_buf(), reason });
+        }
+        Ok(Self { dir: dir.to_path_buf(), case, spray, blank })
+    }
+
+    /// The folder.
+    pub fn dir(&self) -> &Path {
+        &self.dir
+    }
+
+    /// Inputs of the fit as the case states them.
+    pub fn inputs(&self, estimator: Estimator) -> FitInputs<'static> {
+        let case = &self.case;
+        FitInputs {
+            x_counts: case.x_counts.clone(),
+            gamma_near: case.gamma,
+            gamma_far: case.gamma,
+            emissivity_plate: case.emissivity_plate,
+            far_window_counts: case.far_window_counts,
+            curve: case.calibration.curve(),
+            range: None,
+            camera: case.camera.unwrap_or(CameraNoise::ROUNDING_ONLY),
+            estimator,
+            confidence: map::CONFIDENCE,
+            flat_gain: None,
+        }
+    }
+
+    /// The same with another calibration: x is formed anew from the plate temperatures.
+    pub fn inputs_with(&self, estimator: Estimator, calibration: &Calibration) -> FitInputs<'static> {
+        let temperatures = &self.case.setpoints_k;
+        let x_counts = (0..self.case.x_counts.len())
+            .map(|k| {
+                let temperature = temperatures.get(k).copied().flatten()?;
+                self.case.x_counts[k].map(|_| self.case.gamma * calibration.curve.value(temperature))
+            })
+            .collect();
+        FitInputs { x_counts, curve: calibration.curve, range: calibration.range, ..self.inputs(estimator) }
+    }
+
+    /// Sums all pairs, fits, and for our own estimator takes misfires out and fits again.
+    ///
+    /// # Errors
+    ///
+    /// When frames cannot be read or a level has too many.
+    pub fn fit(&mut self, inputs: &FitInputs<'_>) -> Result<Fitted, StackError> {
+        let mut levels = self.empty_summaries(inputs);
+        let mut sums = Sums::new(
+            levels.len(),
+            self.spray.rows,
+            self.spray.columns,
+            1,
+            self.case.saturation_count,
+        )?;
+        let saturation = self.case.saturation_count;
+        self.for_each_pair(|level, _, spray, blank| {
+            if spray.iter().chain(blank).any(|&count| count >= saturation) {
+                levels[level].cycles_with_saturation += 1;
+            }
+            sums.add_cycle(level, &[blank], spray)
+        })?;
+        let mut map = map::solve(&sums, inputs);
+        if inputs.estimator == Estimator::Default {
+            let rejected = self.misfires(&map, inputs)?;
+            if rejected.iter().any(|level| !level.is_empty()) {
+                self.for_each_pair(|level, cycle, spray, blank| {
+                    if rejected[level].iter().any(|r| r.cycle == cycle) {
+                        sums.remove_cycle(level, &[blank], spray)?;
+                    }
+                    Ok(())
+                })?;
+                map = map::solve(&sums, inputs);
+            }
+            for (level, rejected) in levels.iter_mut().zip(rejected) {
+                level.rejected = rejected;
+            }
+        }
+        for (level, sums) in levels.iter_mut().zip(sums.levels()) {
+            level.accepted = level.cycles - level.rejected.len();
+            level.saturated_samples = (0..sums.count.len()).map(|i| u64::from(sums.saturated(i))).sum();
+        }
+        Ok(Fitted { map, levels })
+    }
+
+    fn empty_summaries(&self, inputs: &FitInputs<'_>) -> Vec<LevelSummary> {
+        let cycles = self.case.pairs_per_setpoint.iter();
+        cycles
+            .enumerate()
+            .map(|(k, &cycles)| LevelSummary {
+                plate_temperature_k: self.case.setpoints_k.get(k).copied().flatten(),
+                x_counts: inputs.x_counts[k],
+                cycles,
+                accepted: cycles,
+                rejected: Vec::new(),
+                cycles_with_saturation: 0,
+                saturated_samples: 0,
+            })
+            .collect()
+    }
+
+    fn misfires(&mut self, map: &DitMap, inputs: &FitInputs<'_>) -> Result<Vec<Vec<Rejected>>, StackError> {
+        let predictions: Vec<Option<Prediction>> =
+            inputs.x_counts.iter().map(|x| Prediction::at(map, (*x)?)).collect();
+        let mut scores: Vec<Vec<f64>> = vec![Vec::new(); predictions.len()];
+        let mut blanks = Vec::new();
+        self.for_each_pair(|level, _, spray, blank| {
+            if let Some(prediction) = &predictions[level] {
+                blanks.clear();
+                blanks.extend(blank.iter().map(|&count| u32::from(count)));
+                scores[level].push(prediction.score(spray, &blanks, 1));
+            }
+            Ok(())
+        })?;
+        let reject = |scores: &Vec<f64>| {
+            let missed = gate::misfires(scores).into_iter().zip(scores).enumerate();
+            missed
+                .filter(|(_, (missed, _))| *missed)
+                .map(|(cycle, (_, &score))| Rejected { cycle, reason: "misfire: no spray in the frame", score })
+                .collect()
+        };
+        Ok(scores.iter().map(reject).collect())
+    }
+
+    /// Calls `visit(level, cycle, spray, blank)` for every pair in order.
+    fn for_each_pair(
+        &mut self,
+        mut visit: impl FnMut(usize, usize, &[u16], &[u16]) -> Result<(), AccumulateError>,
+    ) -> Result<(), StackError> {
+        self.spray.rewind()?;
+        self.blank.rewind()?;
+        let pixels = self.spray.rows * self.spray.columns;
+        let (mut spray, mut blank) = (vec![0; pixels], vec![0; pixels]);
+        for (level, &cycles) in self.case.pairs_per_setpoint.iter().enumerate() {
+            for cycle in 0..cycles {
+                self.spray.next_into(&mut spray)?;
+                self.blank.next_into(&mut blank)?;
+                visit(level, cycle, &spray, &blank)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check(case: &Case) -> Result<(), String> {
+    let levels = case.pairs_per_setpoint.len();
+    let positive = |name: &str, value: f64| {
+        if value.is_finite() && value > 0.0 { Ok(()) } else { Err(format!("{name} must be positive")) }
+    };
+    positive("gamma", case.gamma)?;
+    positive("eps_B", case.emissivity_plate)?;
+    positive("calibration.A", case.calibration.a_counts)?;
+    positive("calibration.a_um", case.calibration.a_um)?;
+    if let Some(c2) = case.calibration.c2_um_k {
+        positive("calibration.c2_um_K", c2)?;
+    }
+    if case.x_counts.len() != levels {
+        return Err(format!("x_counts has {} entries for {levels} levels", case.x_counts.len()));
+    }
+    if levels > map::LEVELS_MAX {
+        return Err(format!("{levels} levels, at most {} are possible", map::LEVELS_MAX));
+    }
+    Ok(())
+}
+
+/// A curve from a file, with the range it was calibrated in if the file says so.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Calibration {
+    /// The curve.
+    pub curve: SakumaHattori,
+    /// Where it is calibrated.
+    pub range: Option<Range>,
+}
+
+impl Calibration {
+    /// Reads `calibration.json` of a run folder, or a file with `A`, `a_um`, `b_um_K` (bare or under `calibration`).
+    ///
+    /// # Errors
+    ///
+    /// When the file cannot be read or holds no curve.
+    pub fn read(path: &Path) -> Result<Self, StackError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| StackError::Io { path: path.to_path_buf(), source })?;
+        if let Ok(fit) = serde_json::from_str::<CalibrationFit>(&text) {
+            return Ok(Self { curve: fit.curve, range: Some(fit.range) });
+        }
+        #[derive(Deserialize)]
+        struct Inside {
+            calibration: CaseCurve,
+        }
+        let bare = serde_json::from_str::<CaseCurve>(&text);
+        let curve = bare.or_else(|_| serde_json::from_str::<Inside>(&text).map(|inside| inside.calibration));
+        curve.map(|c| Self { curve: c.curve(), range: None }).map_err(|_| StackError::Case {
+            path: path.to_path_buf(),
+            reason: "holds no calibration curve: neither a fitted one nor A, a_um and b_um_K".into(),
+        })
+    }
+}

@@ -1,16 +1,284 @@
-//! `ditd fit`.
+//! `ditd fit`: refits a run folder, a stack of recorded frames, or lines of known variances.
 
 use super::{CommandError, CommandResult};
+use crate::estimate::calibration::SakumaHattori;
+use crate::estimate::line::Fieller;
+use crate::estimate::map::{self, DitMap, Estimator};
+use crate::files::{self, ResultMeta};
+use crate::stack::{Calibration, CaseCurve, Fitted, Stack, StackError};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `ditd fit`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Run folder, stack folder (case.json, spray.npy, nospray.npy) or a JSON file of lines
+    pub path: PathBuf,
+    /// Where to write the map; needed for a stack
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// How the lines are weighted
+    #[arg(long, value_enum, default_value = "default")]
+    pub estimator: EstimatorName,
+    /// Another calibration curve than the recorded one
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Print the summary as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Names of the estimators on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum EstimatorName {
+    /// Weights from a variance law fitted to pooled variances
+    Default,
+    /// The paper's weights
+    Paper,
+    /// All levels alike
+    Ols,
+}
+
+impl From<EstimatorName> for Estimator {
+    fn from(name: EstimatorName) -> Self {
+        match name {
+            EstimatorName::Default => Self::Default,
+            EstimatorName::Paper => Self::Paper,
+            EstimatorName::Ols => Self::Ols,
+        }
+    }
+}
+
+impl From<StackError> for CommandError {
+    fn from(error: StackError) -> Self {
+        let code = match &error {
+            StackError::Io { .. } | StackError::Case { .. } => 2,
+            StackError::Frames(_) | StackError::Shape { .. } => 5,
+            StackError::Sums(_) => 1,
+        };
+        Self { code, message: error.to_string() }
+    }
+}
 
 /// Runs the command.
 ///
 /// # Errors
 ///
-/// As [`CommandError`] says.
-pub fn run(_args: Args) -> CommandResult {
-    Err(CommandError::failure("fit: not there yet"))
+/// Status 2 for arguments or files that are not understood, 5 for frames that are missing, 1 for output that cannot be
+/// written.
+pub fn run(args: Args) -> CommandResult {
+    let path = &args.path;
+    if path.is_file() {
+        fit_lines(path)
+    } else if path.join("journal.jsonl").exists() || path.join("campaign.toml").exists() {
+        fit_run(&args)
+    } else if path.join("case.json").exists() {
+        fit_stack(&args)
+    } else {
+        Err(CommandError::usage(format!(
+            "fit {}: neither a run folder (journal.jsonl), nor a stack (case.json), nor a file of lines. Check the path.",
+            path.display()
+        )))
+    }
+}
+
+/// Refits a run folder from its journal and frames.
+fn fit_run(args: &Args) -> CommandResult {
+    Err(CommandError::failure(format!("fit {}: refitting a run folder is not there yet", args.path.display())))
+}
+
+fn fit_stack(args: &Args) -> CommandResult {
+    let Some(out) = &args.out else {
+        return Err(CommandError::usage("fit: a stack needs --out DIR for its map"));
+    };
+    let mut stack = Stack::open(&args.path)?;
+    let estimator = args.estimator.into();
+    let inputs = match &args.calibration {
+        Some(file) => stack.inputs_with(estimator, &Calibration::read(file)?),
+        None => stack.inputs(estimator),
+    };
+    let fitted = stack.fit(&inputs)?;
+    let summary = summary(&stack, &inputs, &fitted);
+    let meta = ResultMeta { title: stack.case.name.clone(), more: calibration_json(&inputs) };
+    let cannot = |error: files::FileError| CommandError::failure(format!("fit: writing the map: {error}"));
+    files::write_result(out, &fitted.map, &meta).map_err(cannot)?;
+    let text = serde_json::to_string_pretty(&summary).expect("numbers and texts") + "\n";
+    files::write_atomic(&out.join("summary.json"), text.as_bytes()).map_err(cannot)?;
+    if args.json { print(&text) } else { print(&readable(&fitted, out)) }
+}
+
+fn calibration_json(inputs: &map::FitInputs<'_>) -> Value {
+    json!({
+        "gamma_near": inputs.gamma_near,
+        "gamma_far": inputs.gamma_far,
+        "emissivity_plate": inputs.emissivity_plate,
+        "far_window_counts": inputs.far_window_counts,
+        "curve": inputs.curve,
+        "range": inputs.range,
+        "x_counts": inputs.x_counts,
+    })
+}
+
+fn summary(stack: &Stack, inputs: &map::FitInputs<'_>, fitted: &Fitted) -> Value {
+    let Fitted { map, levels } = fitted;
+    let flags: BTreeMap<&str, usize> = map.flag_counts().into_iter().collect();
+    json!({
+        "schema": 1,
+        "name": stack.case.name,
+        "estimator": map.estimator.name(),
+        "confidence": map.confidence,
+        "rows": map.rows,
+        "columns": map.columns,
+        "levels": levels,
+        "cycles": {
+            "received": levels.iter().map(|l| l.cycles).sum::<usize>(),
+            "accepted": levels.iter().map(|l| l.accepted).sum::<usize>(),
+            "rejected": levels.iter().map(|l| l.rejected.len()).sum::<usize>(),
+        },
+        "flags": flags,
+        "temperature_k": quantiles(&map.temperature_k),
+        "sigma_temperature_k": quantiles(&map.sigma_temperature_k),
+        "emissivity": quantiles(&map.emissivity),
+        "inputs": calibration_json(inputs),
+    })
+}
+
+/// Number of finite values and some of their quantiles.
+fn quantiles(values: &[f64]) -> Value {
+    let mut finite: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    finite.sort_unstable_by(f64::total_cmp);
+    let at = |hundredths: usize| finite.get(finite.len().saturating_sub(1) * hundredths / 100).copied();
+    json!({ "pixels": finite.len(), "p10": at(10), "p50": at(50), "p90": at(90) })
+}
+
+fn readable(fitted: &Fitted, out: &Path) -> String {
+    let DitMap { rows, columns, .. } = fitted.map;
+    let mut text = format!("{rows} x {columns} pixels, {} levels\n", fitted.levels.len());
+    for level in &fitted.levels {
+        let plate = level.plate_temperature_k.map_or_else(|| "-".into(), |t| format!("{t:.2} K"));
+        text += &format!("  plate {plate:>10}  cycles {:3}  accepted {:3}", level.cycles, level.accepted);
+        for rejected in &level.rejected {
+            text += &format!("  [cycle {}: {}, score {:.2}]", rejected.cycle, rejected.reason, rejected.score);
+        }
+        text += "\n";
+    }
+    for (name, pixels) in fitted.map.flag_counts().into_iter().filter(|(_, pixels)| *pixels > 0) {
+        text += &format!("  {pixels:8} pixels {name}\n");
+    }
+    text + &format!("written to {}\n", out.display())
+}
+
+fn print(text: &str) -> CommandResult {
+    std::io::stdout()
+        .write_all(text.as_bytes())
+        .map_err(|e| CommandError::failure(format!("fit: printing: {e}")))
+}
+
+/// A file of lines with known variances. Numbers are decimal texts or numbers.
+#[derive(Debug, Deserialize)]
+struct Lines {
+    gamma: f64,
+    #[serde(rename = "eps_B")]
+    emissivity_plate: f64,
+    calibration: CaseCurve,
+    cases: Vec<LineCase>,
+}
+
+#[derive(Debug, Deserialize)]
+struct LineCase {
+    #[serde(default)]
+    name: String,
+    x: Vec<Number>,
+    y: Vec<Number>,
+    var: Vec<Number>,
+    /// Only its keys are read: the quantiles t to form sets for.
+    #[serde(default)]
+    fieller: BTreeMap<String, Value>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(untagged)]
+enum Number {
+    Value(f64),
+    Text(String),
+}
+
+impl Number {
+    fn parse(&self) -> Result<f64, String> {
+        match self {
+            Self::Value(value) => Ok(*value),
+            Self::Text(text) => text.trim().parse().map_err(|_| format!("{text:?} is not a number")),
+        }
+    }
+}
+
+fn fit_lines(path: &Path) -> CommandResult {
+    let wrong = |reason: String| CommandError::usage(format!("fit {}: {reason}.", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;
+    let answer = lines(&text).map_err(wrong)?;
+    print(&(serde_json::to_string_pretty(&answer).expect("numbers and texts") + "\n"))
+}
+
+/// Fits every line of a JSON text in the form of `exact_lines.json` and answers in the same form, with numbers.
+/// What a line does not define is null.
+///
+/// # Errors
+///
+/// What is wrong with the text.
+pub fn lines(text: &str) -> Result<Value, String> {
+    let lines: Lines = serde_json::from_str(text).map_err(|e| e.to_string())?;
+    let curve = lines.calibration.curve();
+    let cases: Vec<Value> = lines
+        .cases
+        .iter()
+        .map(|case| {
+            fit_line(case, &lines, &curve).map_err(|reason| format!("line {:?}: {reason}", case.name))
+        })
+        .collect::<Result<_, _>>()?;
+    Ok(json!({ "gamma": lines.gamma, "eps_B": lines.emissivity_plate, "cases": cases }))
+}
+
+fn fit_line(case: &LineCase, lines: &Lines, curve: &SakumaHattori) -> Result<Value, String> {
+    let parse = |numbers: &[Number]| numbers.iter().map(Number::parse).collect::<Result<Vec<f64>, _>>();
+    let (x, y, variance) = (parse(&case.x)?, parse(&case.y)?, parse(&case.var)?);
+    if x.len() != y.len() || x.len() != variance.len() {
+        return Err("x, y and var differ in length".into());
+    }
+    if !variance.iter().all(|&v| v > 0.0) {
+        return Err("variances must be positive".into());
+    }
+    let Some(known) = map::known_line(&x, &y, &variance, lines.gamma, lines.emissivity_plate, curve) else {
+        return Ok(json!({ "name": case.name, "slope": null }));
+    };
+    let map::KnownLine { line, covariance, emissivity, temperature_k } = &known;
+    let usual = ["1".to_owned(), map::T_KNOWN.to_string()];
+    let keys: Vec<&String> =
+        if case.fieller.is_empty() { usual.iter().collect() } else { case.fieller.keys().collect() };
+    let mut fieller = serde_json::Map::new();
+    for key in keys {
+        let t: f64 = key.parse().map_err(|_| format!("the quantile {key:?} is not a number"))?;
+        let set = match line.fieller(covariance, t) {
+            Fieller::Bounded { low, high } => json!({ "kind": "bounded", "lo": low, "hi": high }),
+            Fieller::Complement { low, high } => json!({ "kind": "complement", "lo": low, "hi": high }),
+            Fieller::WholeLine => json!({ "kind": "whole_line" }),
+        };
+        fieller.insert(key.clone(), set);
+    }
+    Ok(json!({
+        "name": case.name,
+        "slope": line.slope,
+        "offset": line.offset,
+        "crossing": line.crossing,
+        "var_slope": covariance.slope,
+        "var_offset": line.offset_variance(covariance),
+        "cov_slope_offset": line.slope_offset_covariance(covariance),
+        "var_crossing": line.crossing_variance(covariance),
+        "chi2": line.chi2,
+        "eps": emissivity,
+        "fieller": fieller,
+        "T": temperature_k,
+    }))
 }
