@@ -31,9 +31,6 @@ const PROBE_STRIDE: usize = 17;
 /// Sub-sights per axis in pixels that the plate's edge crosses.
 const EDGE_SIGHTS: usize = 4;
 
-/// Cells along the longest axis from which on paths march on blocks of 2³ cells.
-const COARSE_FROM_CELLS: usize = 40;
-
 /// Pixels of one parallel task.
 const TASK_PIXELS: usize = 64;
 
@@ -48,7 +45,7 @@ pub struct RenderOptions {
     pub scatter: bool,
     /// Upper limit of the number of paths; when it is reached the operator's errors say so.
     pub paths_max: u64,
-    /// Paths march on blocks of this many cells cubed (1 = the cells; 0 = by the size of the medium).
+    /// Paths march on blocks of this many cells cubed; 0 or 1: on the cells themselves.
     pub path_coarsening: usize,
 }
 
@@ -202,9 +199,7 @@ impl Job<'_> {
         active: &[Active],
         stats: &mut Vec<(String, f64)>,
     ) -> Scattered<N> {
-        let longest = self.medium.cells.iter().max().copied().unwrap_or(1);
         let factor = match self.options.path_coarsening {
-            0 if longest >= COARSE_FROM_CELLS => 2,
             0 => 1,
             f => f,
         };
