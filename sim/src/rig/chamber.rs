@@ -1,7 +1,7 @@
 //! What the simulated camera looks at, at one moment: the chamber with its spray, or a plate on a bench.
 //!
-//! A pure function of the moment (plate, vapour, injection, exposure). Keeps the images of the last plate
-//! temperature because rendering them anew for every frame would be waste. Knows nothing of triggers or clocks.
+//! A pure function of the moment (plate, vapour, injection, exposure). Keeps the images of the last two
+//! plate temperatures because making them anew for every frame would be waste. Knows nothing of triggers or clocks.
 
 use super::RigError;
 use super::config::{DetectorConfig, FluctuationConfig, ResidualConfig};
@@ -63,7 +63,8 @@ pub struct World {
     law: Option<ShotLaw>,
     residual: Option<ResidualConfig>,
     seed: u64,
-    level: Mutex<Option<Arc<Level>>>,
+    /// The two last used: a plate that wanders across the border of two grid temperatures needs both.
+    levels: Mutex<[Option<Arc<Level>>; 2]>,
 }
 
 impl World {
@@ -90,7 +91,7 @@ impl World {
             sights,
             residual,
             seed,
-            level: Mutex::new(None),
+            levels: Mutex::new([None, None]),
         })
     }
 
@@ -151,17 +152,17 @@ impl World {
     }
 
     fn level(&self, plate_k: f64) -> Arc<Level> {
-        let mut kept = self.level.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.levels.lock().unwrap_or_else(PoisonError::into_inner);
         let wanted = level_reference_k(plate_k).to_bits();
-        match kept.as_ref() {
-            Some(level) if level.reference_k().to_bits() == wanted => Arc::clone(level),
-            _ => {
-                let level = self.sights.level(&self.optics, plate_k);
-                let level = Arc::new(level.expect("groups were checked when the world was built"));
-                *kept = Some(Arc::clone(&level));
-                level
-            }
+        let fits = |level: &&Arc<Level>| level.reference_k().to_bits() == wanted;
+        if let Some(level) = kept.iter().flatten().find(fits).map(Arc::clone) {
+            return level;
         }
+        let level = self.sights.level(&self.optics, plate_k);
+        let level = Arc::new(level.expect("groups were checked when the world was built"));
+        kept.swap(0, 1);
+        kept[0] = Some(Arc::clone(&level));
+        level
     }
 }
 
@@ -251,7 +252,7 @@ mod tests {
 
     /// A gray absorbing medium at the rendered and at any other density obeys Beer's law.
     #[test]
-    fn gray_absorber_is_exact_at_every_density() {
+    fn gray_absorber_obeys_beer_at_every_density() {
         let choices = sample::Choices { albedo: 0.0, gray: true, ..sample::Choices::usual() };
         let world = sample::world(&sample::Choices {
             fluctuation: Some(FluctuationConfig { sigma_ln_tau: 0.5, ..sample::LAW_WITHOUT_SHIFT }),
@@ -277,7 +278,9 @@ mod tests {
             let plate_light = seen - sample::camera_side_electrons(optics) * 25e-6;
             let expected = seen + opacity * (emission - plate_light);
             let found = f64::from(spray[p as usize]);
-            assert!((found / expected - 1.0).abs() < 2e-6, "{i} {found} {expected}");
+            // Depths are rounded by 8e-4 at most; f32 electrons.
+            let bound = 8e-4 * opacity * (emission - plate_light).abs() + 1e-6 * expected;
+            assert!((found - expected).abs() < bound, "{i} {found} {expected}");
         }
     }
 

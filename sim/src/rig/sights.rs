@@ -7,7 +7,8 @@
 //! the factor on the optical depth and τ the pixel's own optical depth at m = 1; the knots are m = 0 (no medium),
 //! the rendered scales, and m = ∞ (extrapolated, then limited to legal coefficients). Every shot is therefore a
 //! mean of legal coefficient sets: all stay in [0, 1], they change monotonically between knots, closure and the
-//! isothermal enclosure hold exactly, and a gray absorbing medium is reproduced exactly. This rule is part of the
+//! isothermal enclosure hold exactly, and a gray absorbing medium is
+//! reproduced to 8e-4 of its opacity or better. This rule is part of the
 //! declared law of fluctuations.
 
 use super::RigError;
@@ -23,6 +24,27 @@ pub const KNOTS_MAX: usize = 10;
 /// Plate temperatures are expanded around multiples of this: the second-order term left out is below 2e-5 of the
 /// plate's light (n²/2·(0.125/373)² with n = 12.1, the steepest exponent of the filtered band).
 const LEVEL_GRID_K: f64 = 0.25;
+
+/// Optical depths of the interpolation variable: equal steps of the logarithm between the limits. Any depth would
+/// be legal; beyond the limits knots would coincide in f32. Rounding to a step (0.08 % at most) makes pixels share
+/// their weights; a gray absorber, which would be exact, errs by at most as much of its opacity, and only beyond
+/// the last scale (between scales by less than 1e-5).
+const DEPTHS: u16 = 4096;
+const DEPTH_LIMITS: [f64; 2] = [0.01, 6.0];
+
+fn depth_class(depth: f64) -> u16 {
+    let [low, high] = DEPTH_LIMITS;
+    let part = libm::log(depth.clamp(low, high) / low) / libm::log(high / low);
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "from 0 to 4095")]
+    let class = (part * f64::from(DEPTHS - 1)).round() as u16;
+    class
+}
+
+/// The optical depth of a class.
+pub(super) fn class_depth(class: u16) -> f32 {
+    let [low, high] = DEPTH_LIMITS;
+    single(low * libm::exp(libm::log(high / low) * f64::from(class) / f64::from(DEPTHS - 1)))
+}
 
 /// A medium rendered at one factor on its optical depth.
 #[derive(Debug, Clone)]
@@ -48,7 +70,9 @@ pub struct Sights {
     row_start: Vec<usize>,
     /// Optical depth of each active pixel at scale 1, that of the interpolation variable.
     depth: Vec<f32>,
-    /// v at the knots of each active pixel, `[active pixel][knot]`.
+    /// Its ordinal among [`DEPTHS`].
+    depth_class: Vec<u16>,
+    /// v at the knots of each depth class, `[class][knot]`.
     knots: Vec<f32>,
 }
 
@@ -82,11 +106,13 @@ impl Sights {
             plate_seen,
             row_start,
             depth: Vec::new(),
+            depth_class: Vec::new(),
             knots: Vec::new(),
             pixels,
         };
-        sights.depth = (0..sights.pixels.len()).map(|i| sights.depth_of(i)).collect();
-        sights.knots = sights.depth.iter().flat_map(|&depth| sights.knots_of(depth)).collect();
+        sights.depth_class = (0..sights.pixels.len()).map(|i| depth_class(sights.depth_of(i))).collect();
+        sights.depth = sights.depth_class.iter().map(|&class| class_depth(class)).collect();
+        sights.knots = (0..DEPTHS).flat_map(|class| sights.knots_of(class_depth(class))).collect();
         Ok(sights)
     }
 
@@ -106,6 +132,7 @@ impl Sights {
             pixels: Vec::new(),
             row_start: vec![0; rows + 1],
             depth: Vec::new(),
+            depth_class: Vec::new(),
             knots: Vec::new(),
         })
     }
@@ -178,8 +205,18 @@ impl Sights {
 
     /// v at the knots of active pixel `i`, ascending from 0 to 1.
     pub(super) fn knots(&self, i: usize) -> &[f32] {
-        let n = self.knot_count();
-        &self.knots[i * n..(i + 1) * n]
+        self.class_knots(self.depth_class[i])
+    }
+
+    /// Ordinal of the optical depth of each active pixel: pixels of one class share knots and weights.
+    pub(super) fn depth_classes(&self) -> &[u16] {
+        &self.depth_class
+    }
+
+    /// v at the knots of a depth class, ascending from 0 to 1.
+    pub(super) fn class_knots(&self, class: u16) -> &[f32] {
+        let (n, class) = (self.knot_count(), usize::from(class));
+        &self.knots[class * n..(class + 1) * n]
     }
 
     pub(super) fn plate_seen(&self, i: usize) -> f32 {
@@ -187,10 +224,10 @@ impl Sights {
     }
 
     /// From the rendered scale nearest to 1: −ln(a_plate / plate_seen), or −ln(1 − a_medium) away from the plate.
-    fn depth_of(&self, i: usize) -> f32 {
+    fn depth_of(&self, i: usize) -> f64 {
         let nearest =
             |a: &&ScaleNode, b: &&ScaleNode| (a.scale - 1.0).abs().total_cmp(&(b.scale - 1.0).abs());
-        let Some(node) = self.nodes.iter().min_by(nearest) else { return 0.0 };
+        let Some(node) = self.nodes.iter().min_by(nearest) else { return DEPTH_LIMITS[0] };
         let op = &node.operator;
         let mean = |values: &[f32]| values.iter().sum::<f32>() / values.len() as f32;
         let seen = self.plate_seen(i);
@@ -200,10 +237,7 @@ impl Sights {
             let start = i * op.channels * self.groups;
             1.0 - mean(&op.emission[start..start + self.groups])
         };
-        // Any depth is a legal interpolation variable; beyond these limits knots would coincide in f32.
-        #[expect(clippy::cast_possible_truncation, reason = "depths are f32")]
-        let depth = (-libm::log(f64::from(through.clamp(1e-6, 1.0))) / node.scale) as f32;
-        depth.clamp(0.01, 6.0)
+        -libm::log(f64::from(through.clamp(1e-6, 1.0))) / node.scale
     }
 
     fn knots_of(&self, depth: f32) -> Vec<f32> {

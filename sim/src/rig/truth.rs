@@ -7,15 +7,16 @@
 //! between both truths is the error of the method (scattering, walls, non-gray band).
 //!
 //! All pixels have the same marginal law and the images are piecewise linear in one variable, so that each pixel
-//! needs only the mean weight of each knot (and of knot × temperature shift): those serve every plate temperature,
-//! group and truth. The mean over the temperature shift at given optical depth is taken in closed form, the mean
+//! needs only the mean weight of each knot (and of knot × temperature shift), which depends on its optical depth alone:
+//! those serve every plate temperature, group and truth. The mean over the temperature shift at given optical depth is taken in closed form, the mean
 //! over the optical depth by scrambled nets. Fits nothing.
 
 use super::RigError;
 use super::chamber::World;
 use super::radiometry::Optics;
 use super::sights::{
-    DIFFERENCE, Emission, Images, KNOTS_MAX, Level, PLATE_SLOPE, SHIFT, SHIFT_SQUARED, Sights, place,
+    DIFFERENCE, Emission, Images, KNOTS_MAX, Level, PLATE_SLOPE, SHIFT, SHIFT_SQUARED, Sights, class_depth,
+    place,
 };
 use rayon::prelude::*;
 
@@ -105,7 +106,7 @@ impl Truth {
             levels: &levels,
             plate_k,
             counts_per_rate: integration_s / optics.electrons_per_count(),
-            replicates: Replicate::all(world, sampling),
+            weights: class_weights(sights, &Replicate::all(world, sampling)),
             plate_weights: (0..optics.groups())
                 .map(|g| optics.inside_sensitivity(g) * optics.black(g, mean_k))
                 .collect(),
@@ -189,6 +190,18 @@ impl Replicate {
     }
 }
 
+fn class_weights(sights: &Sights, replicates: &[Replicate]) -> Vec<Vec<Weights>> {
+    let classes = sights.depth_classes();
+    let mut used = vec![false; classes.iter().max().map_or(0, |&c| usize::from(c) + 1)];
+    classes.iter().for_each(|&c| used[usize::from(c)] = true);
+    let of = |(class, used): (usize, &bool)| -> Vec<Weights> {
+        let class = u16::try_from(class).expect("classes are counted in 16 bits");
+        let weights = |r: &Replicate| r.weights(class_depth(class), sights.class_knots(class));
+        if *used { replicates.iter().map(weights).collect() } else { Vec::new() }
+    };
+    used.par_iter().enumerate().map(of).collect()
+}
+
 type Weights = [[f64; 3]; KNOTS_MAX];
 
 struct Question<'a> {
@@ -197,7 +210,8 @@ struct Question<'a> {
     levels: &'a [Level],
     plate_k: &'a [f64],
     counts_per_rate: f64,
-    replicates: Vec<Replicate>,
+    /// `[depth class][replicate]`; empty for classes without a pixel.
+    weights: Vec<Vec<Weights>>,
     plate_weights: Vec<f64>,
 }
 
@@ -227,14 +241,13 @@ impl Sight {
 
 impl Question<'_> {
     fn answer(&self, i: usize) -> Answer {
-        let (depth, knots) = (self.sights.depth()[i], self.sights.knots(i));
-        let each: Vec<Weights> = self.replicates.iter().map(|r| r.weights(depth, knots)).collect();
-        let mean = mean_weights(&each);
+        let each = &self.weights[usize::from(self.sights.depth_classes()[i])];
+        let mean = mean_weights(each);
         let groups = 0..self.optics.groups();
         let all: Vec<_> = groups.clone().map(|g| self.sights.direct(i, g)).collect();
         let droplets: Option<Vec<_>> = groups.map(|g| self.sights.direct_droplets(i, g)).collect();
         Answer {
-            levels: (0..self.levels.len()).map(|k| self.level(i, k, &each)).collect(),
+            levels: (0..self.levels.len()).map(|k| self.level(i, k, each)).collect(),
             a_plate: self.a_plate(i, &mean),
             all: self.sight(&all, &mean),
             droplets: droplets.map_or(Sight::NONE, |d| self.sight(&d, &mean)),
