@@ -62,6 +62,13 @@ pub struct Scratch {
     used: Vec<f64>,
 }
 
+impl Scratch {
+    /// The weights of the last fit, one per level.
+    pub fn weights(&self) -> &[f64] {
+        &self.weights
+    }
+}
+
 /// Fits the line with the weights of the law. None if the points do not define a line.
 pub fn fit(samples: &Samples<'_>, scratch: &mut Scratch) -> Option<LawFit> {
     let Scratch { weights, model, distance, used } = scratch;

@@ -305,6 +305,45 @@ pub fn solve(sums: &Sums, inputs: &FitInputs<'_>) -> DitMap {
     }
 }
 
+/// Fits other values at other abscissae with the weights that [`solve`] gives the measured ones.
+///
+/// `x` and `y` belong to the levels of `sums` (all of them; a level without an x in `inputs` is left out), `y` is
+/// `[level][pixel]`. This is how a simulated world's expected counts are read: same weights, no noise. `None` for a
+/// pixel without a line.
+pub fn lines_with_same_weights(
+    sums: &Sums,
+    inputs: &FitInputs<'_>,
+    x: &[f64],
+    y: &[Vec<f64>],
+) -> Vec<Option<Line>> {
+    let levels = sums.levels().len();
+    assert!(x.len() == levels && y.len() == levels, "one x and one image per level");
+    let statistics = Statistics::of(sums, inputs);
+    let pools = match inputs.estimator {
+        Estimator::Default => Pools::of(&statistics, sums.rows(), sums.columns()),
+        Estimator::Paper | Estimator::Ols => Pools::default(),
+    };
+    let quantiles = Quantiles::new(inputs.confidence);
+    let solver = Solver { inputs, statistics: &statistics, pools: &pools, plate: None, quantiles: &quantiles };
+    let used: Vec<usize> = (0..levels).filter(|&k| inputs.x_counts[k].is_some_and(f64::is_finite)).collect();
+    (0..sums.rows() * sums.columns())
+        .into_par_iter()
+        .map_init(Pixel::default, |pixel, i| {
+            solver.gather(i, pixel);
+            let weights = solver.weights(pixel)?;
+            let present = used.iter().zip(&statistics.levels).filter(|(_, level)| {
+                level.count[i] > 0.0 && level.mean[i].is_finite()
+            });
+            let (mut others_x, mut others_y) = (Vec::with_capacity(levels), Vec::with_capacity(levels));
+            for (&k, _) in present {
+                others_x.push(x[k]);
+                others_y.push(y[k][i]);
+            }
+            line::weighted(&others_x, &others_y, &weights)
+        })
+        .collect()
+}
+
 struct RowOut<'a> {
     planes: Vec<&'a mut [f64]>,
     flags: &'a mut [u32],
@@ -620,6 +659,15 @@ impl Solver<'_> {
         // Pooled residuals belong to the line through all levels.
         if pixel.x.len() != self.statistics.x.len() {
             pixel.residual_squares.clear();
+        }
+    }
+
+    /// The weights that the estimator gives the gathered levels.
+    fn weights(&self, pixel: &mut Pixel) -> Option<Vec<f64>> {
+        match self.inputs.estimator {
+            Estimator::Ols => self.ols(pixel).map(|_| pixel.weights.clone()),
+            Estimator::Paper => self.paper(pixel).map(|_| pixel.weights.clone()),
+            Estimator::Default => self.default(pixel).map(|_| pixel.scratch.weights().to_vec()),
         }
     }
 

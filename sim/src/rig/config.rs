@@ -6,6 +6,9 @@
 //! scene and reads no file.
 
 use super::RigError;
+use super::fluke_418x::FlukeBehaviour;
+use super::plate::PlateModel;
+use super::quantum_9520::QuantumBehaviour;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -34,6 +37,14 @@ pub struct RigConfig {
     /// Faults to play.
     #[serde(default, rename = "fault")]
     pub faults: Vec<Fault>,
+    /// The plate and its controller.
+    pub plate: PlateModel,
+    /// The calibrator's side of its line; a well-behaved 4181 when absent.
+    #[serde(default = "FlukeBehaviour::fluke_4181")]
+    pub calibrator: FlukeBehaviour,
+    /// The trigger unit's side of its line; well behaved when absent.
+    #[serde(default = "QuantumBehaviour::delivered")]
+    pub pulser: QuantumBehaviour,
 }
 
 /// The spray and how it is rendered.
@@ -235,8 +246,10 @@ pub struct FluctuationConfig {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilterConfig {
-    /// Name of the filter, or of its response file.
+    /// Column of the shipped response table, for instance `filter_3.40_fwhm0.12`.
     pub name: String,
+    /// Column of the detector in the same table: `QE_InSb_model` or `QE_MCT_MWIR_model`.
+    pub detector: String,
     /// Wavelength samples inside the band (leakage has its own besides).
     pub samples: usize,
 }

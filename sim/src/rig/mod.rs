@@ -1,5 +1,6 @@
 //! The simulated rig: one physical world behind every instrument's own protocol.
 
+pub mod build;
 pub mod camera;
 pub mod chamber;
 pub mod config;

@@ -1,0 +1,382 @@
+//! Writes what a run comes to: maps, summary, report; and keeps and compares the simulated world's truth.
+//!
+//! Everything in the result folder is a function of the records, the calibration and the recorded truth: no time,
+//! no host. So a replay's folder is equal byte for byte.
+
+use crate::config::Config;
+use crate::console::duration_words;
+use crate::estimate::map::{self, DitMap, Estimator, flag};
+use crate::files::npy::{Array, Values};
+use crate::files::npz::{self, Packing};
+use crate::files::{self, FileError, ResultMeta};
+use crate::fitting;
+use crate::reduce::{Reduced, Total};
+use crate::run_folder::{FolderError, RunFolder};
+use crate::session::Calibrated;
+use crate::truth::{ErrorFigures, StatisticalTruth, WorldTruth, compare};
+use serde_json::{Value, json};
+use std::collections::HashMap;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Why a result could not be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum ResultError {
+    /// A file.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The folder.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// Too little was recorded for a map.
+    #[error("result: {0}")]
+    TooLittle(&'static str),
+    /// The recorded truth does not have the arrays that it should.
+    #[error("{path}: {why}. Restore the folder from a copy.")]
+    World {
+        /// The file.
+        path: PathBuf,
+        /// What is missing or of another shape.
+        why: String,
+    },
+}
+
+/// Writes the result files to `out`; returns the summary in words.
+///
+/// # Errors
+///
+/// [`ResultError`] when there is no map in the records or the disk refuses.
+pub fn write(
+    out: &Path,
+    reduced: &Reduced,
+    config: &Config,
+    calibrated: &Calibrated,
+    estimator: Estimator,
+    world: Option<&WorldTruth>,
+) -> Result<String, ResultError> {
+    let Total::Map(sums) = &reduced.total else {
+        return Err(ResultError::TooLittle("these records are a calibration, not a campaign"));
+    };
+    if !fitting::can_fit(sums) {
+        return Err(ResultError::TooLittle("a map needs accepted cycles at two levels at least"));
+    }
+    let inputs =
+        fitting::inputs(&reduced.levels, config, &calibrated.calibration, &calibrated.flat, estimator);
+    let map = map::solve(sums, &inputs);
+    let judged = world.map(|world| {
+        let lines = map::lines_with_same_weights(sums, &inputs, &world.x_counts, &world.difference_counts);
+        Judged::of(&map, world, world.statistical(&lines), config.emissivity_min())
+    });
+    let summary = summary(reduced, config, calibrated, &map, judged.as_ref());
+    let meta = ResultMeta { title: config.campaign.name.clone(), more: json!({}) };
+    files::write_result(out, &map, &meta)?;
+    let folder = RunFolder::at(out);
+    if let (Some(judged), Some(world)) = (&judged, world) {
+        folder.write(&out.join("truth.npz"), &judged.to_npz(world)?)?;
+    }
+    let mut text = format!("{summary:#}");
+    text.push('\n');
+    folder.write(&out.join("summary.json"), text.as_bytes())?;
+    Ok(words(&summary, &map, judged.as_ref(), config))
+}
+
+/// The map held against the truth.
+struct Judged {
+    truth: StatisticalTruth,
+    statistical: Option<ErrorFigures>,
+    physical: Option<ErrorFigures>,
+    droplets: Option<ErrorFigures>,
+    /// Part of the pixels whose reported 68 % interval (one sigma) holds the statistical truth.
+    coverage_68: f64,
+    /// The same for the 95 % set.
+    coverage_95: f64,
+    /// Rms standard error of the statistical truth itself, in K.
+    truth_error_k: f64,
+}
+
+impl Judged {
+    fn of(map: &DitMap, world: &WorldTruth, truth: StatisticalTruth, emissivity_min: f64) -> Self {
+        // The truth says which pixels count, so that noise cannot choose them.
+        let counts = |pixel: usize| truth.emissivity[pixel] > emissivity_min;
+        let (mut n, mut inside_68, mut inside_95, mut square, mut errors) = (0u32, 0u32, 0u32, 0.0, 0u32);
+        for pixel in (0..map.temperature_k.len()).filter(|&pixel| counts(pixel)) {
+            let (measured, sigma) = (map.temperature_k[pixel], map.sigma_temperature_k[pixel]);
+            let is = truth.temperature_k[pixel];
+            if measured.is_finite() && sigma.is_finite() && is.is_finite() {
+                n += 1;
+                inside_68 += u32::from((measured - is).abs() <= sigma);
+                inside_95 +=
+                    u32::from(map.temperature_low_k[pixel] <= is && is <= map.temperature_high_k[pixel]);
+            }
+            if truth.error_k[pixel].is_finite() {
+                square += truth.error_k[pixel].powi(2);
+                errors += 1;
+            }
+        }
+        let part = |inside: u32| if n > 0 { f64::from(inside) / f64::from(n) } else { f64::NAN };
+        Self {
+            statistical: compare(&map.temperature_k, &truth.temperature_k, counts),
+            physical: compare(&map.temperature_k, &world.physical_k, counts),
+            droplets: compare(&map.temperature_k, &world.droplets_k, counts),
+            coverage_68: part(inside_68),
+            coverage_95: part(inside_95),
+            truth_error_k: if errors > 0 { (square / f64::from(errors)).sqrt() } else { f64::NAN },
+            truth,
+        }
+    }
+
+    fn to_npz(&self, world: &WorldTruth) -> Result<Vec<u8>, ResultError> {
+        let image = |values: &[f64]| Array {
+            shape: vec![world.rows, world.columns],
+            values: Values::F64(values.to_vec()),
+        };
+        let arrays = [
+            ("temperature_statistical_k", image(&self.truth.temperature_k)),
+            ("temperature_statistical_error_k", image(&self.truth.error_k)),
+            ("emissivity_statistical", image(&self.truth.emissivity)),
+            ("temperature_physical_k", image(&world.physical_k)),
+            ("emissivity_physical", image(&world.physical_emissivity)),
+            ("temperature_droplets_k", image(&world.droplets_k)),
+            ("emissivity_droplets", image(&world.droplets_emissivity)),
+        ];
+        let named: Vec<(&str, &Array)> = arrays.iter().map(|(name, array)| (*name, array)).collect();
+        npz::to_bytes(&named, Packing::Deflated)
+            .map_err(|source| FileError::Io { path: PathBuf::from("truth.npz"), source }.into())
+    }
+
+    fn to_json(&self, emissivity_min: f64) -> Value {
+        json!({
+            "statistical": self.statistical,
+            "statistical_standard_error_k": number(self.truth_error_k),
+            "physical": self.physical,
+            "droplets": self.droplets,
+            "coverage_68": number(self.coverage_68),
+            "coverage_95": number(self.coverage_95),
+            "emissivity_min": emissivity_min,
+        })
+    }
+}
+
+/// A number, or null when it is none: JSON has no NaN.
+fn number(value: f64) -> Value {
+    serde_json::Number::from_f64(value).map_or(Value::Null, Value::Number)
+}
+
+fn summary(
+    reduced: &Reduced,
+    config: &Config,
+    calibrated: &Calibrated,
+    map: &DitMap,
+    judged: Option<&Judged>,
+) -> Value {
+    let abscissae = fitting::abscissae(&reduced.levels, config, &calibrated.calibration);
+    let levels: Vec<Value> = reduced
+        .plan
+        .levels
+        .iter()
+        .zip(&reduced.levels)
+        .zip(&abscissae)
+        .map(|((plan, state), x)| {
+            json!({
+                "set_point_k": plan.set_point_k,
+                "plate_k": state.plate_mean_k(),
+                "x_counts": x,
+                "cycles": state.accepted,
+                "rejected": state.rejected.iter()
+                    .map(|(cycle, reason)| json!({ "cycle": cycle, "reason": reason })).collect::<Vec<_>>(),
+            })
+        })
+        .collect();
+    let planned: u32 = reduced.plan.levels.iter().map(|level| level.program.cycles).sum();
+    let received: u32 = reduced.levels.iter().map(|state| state.accepted).sum();
+    let retaken: usize = reduced.levels.iter().map(|state| state.rejected.len()).sum();
+    let flags: serde_json::Map<String, Value> =
+        map.flag_counts().into_iter().map(|(name, count)| (name.to_owned(), count.into())).collect();
+    let fit = &calibrated.calibration.fit;
+    let spray = over_spray(map, config.emissivity_min());
+    json!({
+        "schema": 1,
+        "software": concat!("ditd ", env!("CARGO_PKG_VERSION")),
+        "name": config.campaign.name,
+        "simulated": config.rig.is_some(),
+        "estimator": map.estimator.name(),
+        "rows": map.rows,
+        "columns": map.columns,
+        "levels": levels,
+        "cycles": { "planned": planned, "received": received, "retaken": retaken, "lost": planned.saturating_sub(received) },
+        "flags": flags,
+        "flag_legend": flag::LEGEND.iter()
+            .map(|(bit, name, meaning)| json!({ "bit": bit, "name": name, "meaning": meaning })).collect::<Vec<_>>(),
+        "calibration": {
+            "curve": fit.curve,
+            "chi2": fit.chi2,
+            "dof": fit.dof,
+            "low_k": fit.range.low_k,
+            "high_k": fit.range.high_k,
+            "points": calibrated.calibration.points.len(),
+            "utc": calibrated.calibration.utc,
+        },
+        "far_window_counts": fitting::far_window_counts(config, &calibrated.calibration),
+        "spray": {
+            "emissivity_min": config.emissivity_min(),
+            "pixels": spray.0,
+            "median_temperature_k": number(spray.1),
+            "median_sigma_temperature_k": number(spray.2),
+        },
+        "true_error": judged.map(|judged| judged.to_json(config.emissivity_min())),
+    })
+}
+
+/// Pixels with a temperature and an emissivity above the limit; their median temperature and median sigma, in K.
+fn over_spray(map: &DitMap, emissivity_min: f64) -> (usize, f64, f64) {
+    let (mut temperatures, mut sigmas) = (Vec::new(), Vec::new());
+    for pixel in 0..map.temperature_k.len() {
+        if map.emissivity[pixel] > emissivity_min && map.temperature_k[pixel].is_finite() {
+            temperatures.push(map.temperature_k[pixel]);
+            sigmas.push(map.sigma_temperature_k[pixel]);
+        }
+    }
+    let pixels = temperatures.len();
+    (pixels, median(temperatures), median(sigmas))
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    if values.is_empty() {
+        return f64::NAN;
+    }
+    values.sort_by(f64::total_cmp);
+    values[(values.len() - 1) / 2]
+}
+
+fn words(summary: &Value, map: &DitMap, judged: Option<&Judged>, config: &Config) -> String {
+    let (pixels, temperature, sigma) = over_spray(map, config.emissivity_min());
+    let mut out = format!("{}\n", config.campaign.name);
+    // Writing to a String cannot fail.
+    let _ = writeln!(
+        out,
+        "cycles    {} planned, {} received, {} taken again, {} lost; estimator {}",
+        summary["cycles"]["planned"],
+        summary["cycles"]["received"],
+        summary["cycles"]["retaken"],
+        summary["cycles"]["lost"],
+        map.estimator.name()
+    );
+    let _ = writeln!(
+        out,
+        "spray     {pixels} pixels with emissivity above {}: median {temperature:.2} K, median σ {sigma:.2} K",
+        config.emissivity_min()
+    );
+    if let Some(judged) = judged {
+        let mut figures = |what: &str, figures: Option<ErrorFigures>, note: &str| {
+            if let Some(f) = figures {
+                let _ = writeln!(
+                    out,
+                    "{what} rms {:.2} K, bias {:+.2} K, median {:.2} K, 90 % {:.2} K, 99 % {:.2} K over {} pixels{note}",
+                    f.rms_k, f.bias_k, f.p50_k, f.p90_k, f.p99_k, f.pixels
+                );
+            }
+        };
+        let own = format!(" (truth known to {:.3} K)", judged.truth_error_k);
+        figures("error (a)  statistical:", judged.statistical, &own);
+        figures("error (b)  physical:   ", judged.physical, "");
+        figures("           droplets:   ", judged.droplets, "");
+        let _ = writeln!(
+            out,
+            "intervals  68 % sets hold the truth (a) in {:.1} % of pixels, 95 % sets in {:.1} %",
+            judged.coverage_68 * 100.0,
+            judged.coverage_95 * 100.0
+        );
+    }
+    out
+}
+
+/// Keeps the truth of a simulated world in the run folder.
+///
+/// # Errors
+///
+/// [`ResultError`] when the disk refuses.
+pub fn write_world(folder: &RunFolder, truth: &WorldTruth) -> Result<(), ResultError> {
+    let line = |values: &[f64]| Array { shape: vec![values.len()], values: Values::F64(values.to_vec()) };
+    let image = |values: &[f64]| Array { shape: vec![truth.rows, truth.columns], values: Values::F64(values.to_vec()) };
+    // f32 holds 24 bits: expected counts of hundreds to 1e-5 counts, far below their own standard error.
+    let stack = |levels: &[Vec<f64>]| Array {
+        shape: vec![levels.len(), truth.rows, truth.columns],
+        values: Values::F32(levels.iter().flatten().map(|value| narrow(*value)).collect()),
+    };
+    let arrays = [
+        ("plate_k", line(&truth.plate_k)),
+        ("x_counts", line(&truth.x_counts)),
+        ("gamma_near", line(&[truth.gamma_near])),
+        ("emissivity_plate", line(&[truth.emissivity_plate])),
+        ("far_window_counts", line(&[truth.far_window_counts])),
+        ("curve_k", line(&truth.curve_k)),
+        ("curve_counts", line(&truth.curve_counts)),
+        ("difference_counts", stack(&truth.difference_counts)),
+        ("difference_error_counts", stack(&truth.difference_error_counts)),
+        ("physical_k", image(&truth.physical_k)),
+        ("physical_emissivity", image(&truth.physical_emissivity)),
+        ("droplets_k", image(&truth.droplets_k)),
+        ("droplets_emissivity", image(&truth.droplets_emissivity)),
+    ];
+    let named: Vec<(&str, &Array)> = arrays.iter().map(|(name, array)| (*name, array)).collect();
+    let path = folder.world().join("truth.npz");
+    let bytes = npz::to_bytes(&named, Packing::Deflated)
+        .map_err(|source| FileError::Io { path: path.clone(), source })?;
+    Ok(folder.write(&path, &bytes)?)
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is what is wanted")]
+fn narrow(value: f64) -> f32 {
+    value as f32
+}
+
+/// Reads the truth back; `None` when the folder has none (a real rig).
+///
+/// # Errors
+///
+/// [`ResultError`] when the file is damaged.
+pub fn read_world(folder: &Path) -> Result<Option<WorldTruth>, ResultError> {
+    let path = folder.join("truth.npz");
+    if !path.exists() {
+        return Ok(None);
+    }
+    let arrays: HashMap<String, Array> = npz::read(&path)?.into_iter().collect();
+    let get = |name: &str| {
+        let missing = || ResultError::World { path: path.clone(), why: format!("array {name} is missing") };
+        arrays.get(name).ok_or_else(missing)
+    };
+    let line = |name: &str| get(name).map(Array::to_f64);
+    let scalar = |name: &str| line(name).map(|values| values.first().copied().unwrap_or(f64::NAN));
+    let [levels, rows, columns] = get("difference_counts")?.shape[..] else {
+        return Err(ResultError::World { path: path.clone(), why: "difference_counts is no stack".to_owned() });
+    };
+    let stack = |name: &str| -> Result<Vec<Vec<f64>>, ResultError> {
+        let flat = line(name)?;
+        if flat.len() != levels * rows * columns || flat.is_empty() {
+            return Err(ResultError::World { path: path.clone(), why: format!("{name} has another shape") });
+        }
+        Ok(flat.chunks(rows * columns).map(<[f64]>::to_vec).collect())
+    };
+    Ok(Some(WorldTruth {
+        rows,
+        columns,
+        plate_k: line("plate_k")?,
+        x_counts: line("x_counts")?,
+        difference_counts: stack("difference_counts")?,
+        difference_error_counts: stack("difference_error_counts")?,
+        gamma_near: scalar("gamma_near")?,
+        emissivity_plate: scalar("emissivity_plate")?,
+        far_window_counts: scalar("far_window_counts")?,
+        curve_k: line("curve_k")?,
+        curve_counts: line("curve_counts")?,
+        physical_k: line("physical_k")?,
+        physical_emissivity: line("physical_emissivity")?,
+        droplets_k: line("droplets_k")?,
+        droplets_emissivity: line("droplets_emissivity")?,
+    }))
+}
+
+/// Time of a campaign in words, for the console.
+pub fn campaign_words(seconds: f64) -> String {
+    duration_words(seconds)
+}
