@@ -1,0 +1,246 @@
+//! The instrument's end of a line: commands in, replies out, and what can go wrong between.
+//!
+//! Replies leave in the order in which they were made. Knows no command of any instrument.
+
+use ditd_drivers::wire::{Garbage, LineDecoder, is_nobody_there};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use std::io;
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadHalf, WriteHalf};
+use tokio::time::{Instant, sleep, sleep_until};
+
+/// Replies that wait to be sent at most; beyond, new ones are dropped, as a real output buffer does.
+const REPLIES_WAITING_MAX: usize = 64;
+
+/// How long to wait when nobody has the other end of a pseudo-terminal open.
+const NOBODY_THERE: Duration = Duration::from_millis(200);
+
+/// What goes wrong on the line. Replies are counted from 1; times are seconds of the rig's clock.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum LineFault {
+    /// Every `every`-th reply comes late, and those after it queue behind.
+    Late {
+        /// Which replies.
+        every: u64,
+        /// By how many seconds.
+        delay_s: f64,
+    },
+    /// Every `every`-th reply has a byte that is not printable.
+    Garbled {
+        /// Which replies.
+        every: u64,
+    },
+    /// Every `every`-th reply is lost.
+    Missing {
+        /// Which replies.
+        every: u64,
+    },
+    /// Every `every`-th reply is sent twice.
+    Doubled {
+        /// Which replies.
+        every: u64,
+    },
+    /// Nothing is answered any more.
+    Silent {
+        /// Since when.
+        from_s: f64,
+    },
+}
+
+/// How an instrument treats a reply that was not yet sent when the next command comes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unsent {
+    /// It is sent all the same.
+    Kept,
+    /// It is lost.
+    Lost,
+}
+
+struct Reply {
+    bytes: Vec<u8>,
+    sent: usize,
+    due: Instant,
+    losable: bool,
+}
+
+/// The instrument's end of a line.
+pub struct Line<S> {
+    input: ReadHalf<S>,
+    output: WriteHalf<S>,
+    decoder: LineDecoder,
+    commands: VecDeque<Result<String, Garbage>>,
+    replies: VecDeque<Reply>,
+    replies_made: u64,
+    faults: Vec<LineFault>,
+    unsent: Unsent,
+    start: Instant,
+}
+
+impl<S: AsyncRead + AsyncWrite> Line<S> {
+    /// The end of a line over a stream; `start` is the zero of the rig's clock.
+    pub fn new(stream: S, faults: Vec<LineFault>, unsent: Unsent, start: Instant) -> Self {
+        let (input, output) = tokio::io::split(stream);
+        Self {
+            input,
+            output,
+            decoder: LineDecoder::default(),
+            commands: VecDeque::new(),
+            replies: VecDeque::new(),
+            replies_made: 0,
+            faults,
+            unsent,
+            start,
+        }
+    }
+
+    /// The next command; replies are sent meanwhile. `None` when the other side has gone for good. May be dropped at
+    /// any point without losing anything.
+    pub async fn next_command(&mut self) -> Option<Result<String, Garbage>> {
+        loop {
+            if let Some(command) = self.commands.pop_front() {
+                if self.unsent == Unsent::Lost {
+                    self.replies.retain(|reply| reply.sent > 0 || !reply.losable);
+                }
+                return Some(command);
+            }
+            let mut chunk = [0; 256];
+            let due = self.replies.front().map_or_else(Instant::now, |reply| reply.due);
+            tokio::select! {
+                biased;
+                read = self.input.read(&mut chunk) => match read {
+                    Ok(0) => return None,
+                    Ok(count) => self.take(&chunk[..count]),
+                    Err(error) if is_nobody_there(&error) => sleep(NOBODY_THERE).await,
+                    Err(_) => return None,
+                },
+                sent = send(&mut self.output, self.replies.front(), due), if !self.replies.is_empty() => {
+                    match sent {
+                        Ok(count) => self.note_sent(count),
+                        Err(error) if is_nobody_there(&error) => self.replies.clear(),
+                        Err(_) => return None,
+                    }
+                }
+            }
+        }
+    }
+
+    /// Queues a reply, with its line end, to be sent after `delay`.
+    pub fn reply(&mut self, text: &str, delay: Duration) {
+        self.replies_made += 1;
+        let mut bytes = text.as_bytes().to_vec();
+        let mut due = Instant::now() + delay;
+        let mut losable = true;
+        let count = self.replies_made;
+        let hits = |every: &u64| count.is_multiple_of((*every).max(1));
+        for fault in &self.faults {
+            match fault {
+                LineFault::Late { every, delay_s } if hits(every) => {
+                    due += Duration::from_secs_f64(*delay_s);
+                    // It is on its way already: no later command calls it back.
+                    losable = false;
+                }
+                LineFault::Garbled { every } if hits(every) => {
+                    let middle = bytes.len() / 2;
+                    bytes[middle] = 0x07;
+                }
+                LineFault::Missing { every } if hits(every) => return,
+                LineFault::Doubled { every } if hits(every) => bytes = bytes.repeat(2),
+                LineFault::Silent { from_s } if self.start.elapsed().as_secs_f64() >= *from_s => return,
+                _ => {}
+            }
+        }
+        if self.replies.len() < REPLIES_WAITING_MAX {
+            // Behind a late one everything is late.
+            let due = self.replies.back().map_or(due, |last| due.max(last.due));
+            self.replies.push_back(Reply { bytes, sent: 0, due, losable });
+        }
+    }
+
+    /// Seconds of the rig's clock.
+    pub fn now_s(&self) -> f64 {
+        self.start.elapsed().as_secs_f64()
+    }
+
+    fn take(&mut self, bytes: &[u8]) {
+        let commands = bytes.iter().filter_map(|byte| self.decoder.push(*byte));
+        self.commands.extend(commands);
+    }
+
+    fn note_sent(&mut self, count: usize) {
+        if let Some(reply) = self.replies.front_mut() {
+            reply.sent += count;
+            if reply.sent >= reply.bytes.len() {
+                self.replies.pop_front();
+            }
+        }
+    }
+}
+
+/// Sends some of a reply when it is due; dropped half-way, nothing was sent.
+async fn send<S: AsyncWrite>(
+    output: &mut WriteHalf<S>,
+    reply: Option<&Reply>,
+    due: Instant,
+) -> io::Result<usize> {
+    let Some(reply) = reply else { return Ok(0) };
+    sleep_until(due).await;
+    output.write(&reply.bytes[reply.sent..]).await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::io::duplex;
+
+    /// A line whose commands are answered by themselves, 100 ms later.
+    async fn parrot(stream: tokio::io::DuplexStream, faults: Vec<LineFault>, unsent: Unsent) {
+        let mut line = Line::new(stream, faults, unsent, Instant::now());
+        while let Some(command) = line.next_command().await {
+            line.reply(&format!("{}\r", command.unwrap()), Duration::from_millis(100));
+        }
+    }
+
+    async fn heard(faults: Vec<LineFault>, unsent: Unsent, said: &[&str]) -> String {
+        let (mut near, far) = duplex(256);
+        tokio::spawn(parrot(far, faults, unsent));
+        for text in said {
+            near.write_all(text.as_bytes()).await.unwrap();
+            sleep(Duration::from_millis(50)).await;
+        }
+        let mut bytes = vec![0; 256];
+        let mut heard = String::new();
+        while let Ok(Ok(count)) = tokio::time::timeout(Duration::from_secs(60), near.read(&mut bytes)).await {
+            heard.push_str(&String::from_utf8_lossy(&bytes[..count]));
+        }
+        heard
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn an_unread_reply_is_lost_where_the_instrument_loses_it() {
+        let said = ["a\r", "b\r", "c\r"];
+        assert_eq!(heard(vec![], Unsent::Kept, &said).await, "a\rb\rc\r");
+        assert_eq!(heard(vec![], Unsent::Lost, &said).await, "c\r");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn every_fault_shows() {
+        let said = ["ab\r", "cd\r", "ef\r"];
+        for (fault, expected) in [
+            (LineFault::Late { every: 2, delay_s: 5.0 }, "ab\rcd\ref\r"),
+            (LineFault::Garbled { every: 2 }, "ab\rc\u{7}\ref\r"),
+            (LineFault::Missing { every: 2 }, "ab\ref\r"),
+            (LineFault::Doubled { every: 2 }, "ab\rcd\rcd\ref\r"),
+            (LineFault::Silent { from_s: 0.07 }, "ab\rcd\r"),
+        ] {
+            assert_eq!(heard(vec![fault.clone()], Unsent::Kept, &said).await, expected, "{fault:?}");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_late_reply_cannot_be_called_back() {
+        let late = LineFault::Late { every: 1, delay_s: 5.0 };
+        assert_eq!(heard(vec![late], Unsent::Lost, &["a\r", "b\r"]).await, "a\rb\r");
+    }
+}
