@@ -1,0 +1,295 @@
+//! From a spray on a grid to the coefficients that the tracer understands.
+//!
+//! Droplets become Mie cross-sections at their own temperature, vapour becomes absorption at the temperature of the
+//! gas: two temperatures per cell. Sums are extensive: every droplet of every parcel counts once. Knows neither
+//! cameras nor rays.
+
+mod droplets;
+mod pattern;
+
+use super::field::{Gas, SprayField};
+use crate::light::band::Band;
+use crate::light::fuel::Fuel;
+use crate::light::phase::PhaseFunction;
+use crate::light::planck::photon_radiance;
+use crate::light::table::locate;
+use crate::tracer::medium::{EMPTY, GridMedium};
+use droplets::DropletTable;
+use rayon::prelude::*;
+
+/// What emits in a channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Species {
+    /// Liquid and vapour.
+    All,
+    /// The liquid only.
+    Droplets,
+    /// The vapour only.
+    Vapour,
+}
+
+/// How strongly it emits, per k_abs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Strength {
+    /// 1 everywhere: the image is the coefficient a_medium.
+    Unit,
+    /// B(λ, T + offset) in photons s⁻¹ m⁻² sr⁻¹ µm⁻¹ with T of the liquid for droplets, of the gas for vapour.
+    Radiance {
+        /// Added to the temperatures of the field, K.
+        offset_k: f64,
+    },
+}
+
+/// The sources of one emission channel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Source {
+    /// Who emits.
+    pub species: Species,
+    /// How strongly.
+    pub strength: Strength,
+}
+
+impl Source {
+    /// What channel 0 must be: everything, with strength 1.
+    pub const UNIT: Self = Self { species: Species::All, strength: Strength::Unit };
+    /// Everything at its own temperature.
+    pub const RADIANCE: Self = Self { species: Species::All, strength: Strength::Radiance { offset_k: 0.0 } };
+
+    fn of_droplets(self, wavelength_um: f64, temperature_k: f64) -> f64 {
+        if self.species == Species::Vapour { 0.0 } else { self.strength.at(wavelength_um, temperature_k) }
+    }
+
+    fn of_vapour(self, wavelength_um: f64, temperature_k: f64) -> f64 {
+        if self.species == Species::Droplets { 0.0 } else { self.strength.at(wavelength_um, temperature_k) }
+    }
+}
+
+impl Strength {
+    fn at(self, wavelength_um: f64, temperature_k: f64) -> f64 {
+        match self {
+            Self::Unit => 1.0,
+            Self::Radiance { offset_k } => photon_radiance(wavelength_um, temperature_k + offset_k),
+        }
+    }
+}
+
+/// How the coefficients were made, and how good they are.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OpticsReport {
+    /// Bins of the droplet diameter, and Mie calculations in all.
+    pub bins: usize,
+    /// Mie calculations behind the table.
+    pub spheres: usize,
+    /// Liquid temperatures of the table.
+    pub temperatures: usize,
+    /// Largest relative change of a group's scattering or absorption, summed over the spray, when the number of
+    /// radii per bin was last doubled.
+    pub mie_error: f64,
+    /// Mean cosine of each group: scattering-weighted mean of the exact ones.
+    pub asymmetry: Vec<f64>,
+    /// Mean cosine of the tabulated phase function of each group: its distance from the exact one is the error of
+    /// the table.
+    pub asymmetry_tabulated: Vec<f64>,
+    /// Wavelengths outside the fuel's liquid table (its ends were used), µm.
+    pub outside_liquid_um: Vec<f64>,
+    /// Cells whose gas is outside the temperatures of the vapour table (its ends were used).
+    pub cells_outside_vapour_k: usize,
+    /// Parcels without droplets or with an impossible diameter or temperature, left out.
+    pub parcels_skipped: usize,
+}
+
+/// The mean phase function of one group as a table over the scattering angle; empty when nothing scatters.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Pattern {
+    /// Scattering angles from 0 to π, rad.
+    pub theta_rad: Vec<f64>,
+    /// Phase function, ½∫p dμ = 1.
+    pub p11: Vec<f64>,
+}
+
+/// A medium with what is known about its making.
+#[derive(Debug, Clone)]
+pub struct Optics {
+    /// The coefficients.
+    pub medium: GridMedium,
+    /// The phase function of each group as a table.
+    pub patterns: Vec<Pattern>,
+    /// How it was made.
+    pub report: OpticsReport,
+}
+
+/// Coefficients of a spray for the wavelengths of a band, one group per sample, and one channel per source.
+///
+/// Channel 0 must be [`Source::UNIT`]. See [`optics`] for the same with tables and a report.
+pub fn medium(field: &SprayField, fuel: &Fuel, band: &Band, sources: &[Source]) -> GridMedium {
+    optics(field, fuel, band, sources).medium
+}
+
+/// [`medium`] with the phase functions as tables and a report. Runs on rayon's threads; the answer does not depend
+/// on their number.
+///
+/// Emission of radiance channels is per µm at each group's wavelength: the band's weights come later.
+pub fn optics(field: &SprayField, fuel: &Fuel, band: &Band, sources: &[Source]) -> Optics {
+    assert!(sources.first() == Some(&Source::UNIT), "channel 0 has source 1 for everything");
+    assert!(!band.is_empty(), "a medium has at least one group");
+    assert!(field.deposit_start.len() == field.cells.len() + 1, "one range of deposits per cell, and an end");
+    assert!(field.gas.len() == field.cells.len(), "one gas per occupied cell");
+    let um = &band.wavelengths_um;
+    let (groups, channels) = (um.len(), sources.len());
+    let table = DropletTable::new(&field.parcels, fuel, um);
+    let rows = ParcelRows::new(field, &table, um, sources);
+    let vapour = VapourTable::new(fuel, um);
+
+    let cells = field.cells.len();
+    let mut k_ext = vec![0.0; cells * groups];
+    let mut k_sca = vec![0.0; cells * groups];
+    let mut emission = vec![0.0; cells * channels * groups];
+    k_ext
+        .par_chunks_mut(groups)
+        .zip(k_sca.par_chunks_mut(groups))
+        .zip(emission.par_chunks_mut(channels * groups))
+        .enumerate()
+        .for_each(|(cell, ((ext, sca), emission))| {
+            let range = field.deposit_start[cell] as usize..field.deposit_start[cell + 1] as usize;
+            for deposit in range {
+                let row = rows.row(field.deposit_parcel[deposit] as usize);
+                let density = f64::from(field.deposit_per_m3[deposit]);
+                let (own_sca, rest) = row.split_at(groups);
+                let (own_abs, own_emission) = rest.split_at(groups);
+                for (((ext, sca), own_sca), own_abs) in
+                    ext.iter_mut().zip(sca.iter_mut()).zip(own_sca).zip(own_abs)
+                {
+                    *sca += density * own_sca;
+                    *ext += density * (own_sca + own_abs);
+                }
+                for (sum, own) in emission.iter_mut().zip(own_emission) {
+                    *sum += density * own;
+                }
+            }
+            vapour.add(&field.gas[cell], um, sources, ext, emission);
+        });
+
+    let mut index = vec![EMPTY; field.grid.cells.iter().product()];
+    for (ordinal, &cell) in (0u32..).zip(&field.cells) {
+        index[cell as usize] = ordinal;
+    }
+    let (patterns, means): (Vec<Pattern>, Vec<(f64, f64)>) = um
+        .par_iter()
+        .map(|&um| {
+            let pattern = pattern::mean_pattern(&field.parcels, fuel, um);
+            (pattern.0, pattern.1)
+        })
+        .unzip();
+    let (asymmetry, asymmetry_tabulated): (Vec<f64>, Vec<f64>) = means.into_iter().unzip();
+    let phase = asymmetry.iter().map(|&g| phase_function(g)).collect();
+    let [low, high] = fuel.liquid_range_um();
+    let [cold, hot] = fuel.vapour_range_k();
+    let outside = |gas: &&Gas| gas.vapour_mol_m3 > 0.0 && !(cold..=hot).contains(&gas.temperature_k);
+    let report = OpticsReport {
+        bins: table.bins(),
+        spheres: table.spheres(),
+        temperatures: table.temperatures(),
+        mie_error: table.error(),
+        asymmetry,
+        asymmetry_tabulated,
+        outside_liquid_um: um.iter().copied().filter(|um| !(low..=high).contains(um)).collect(),
+        cells_outside_vapour_k: field.gas.iter().filter(outside).count(),
+        parcels_skipped: field.parcels.iter().filter(|parcel| !droplets::counts(parcel)).count(),
+    };
+    let medium = GridMedium {
+        lower_m: field.grid.lower_m,
+        upper_m: field.grid.upper_m,
+        cells: field.grid.cells,
+        groups,
+        channels,
+        index,
+        k_ext,
+        k_sca,
+        emission,
+        phase,
+    };
+    Optics { medium, patterns, report }
+}
+
+/// Henyey and Greenstein's function with the mean cosine of the droplets.
+fn phase_function(asymmetry: f64) -> PhaseFunction {
+    PhaseFunction::HenyeyGreenstein { asymmetry }
+}
+
+/// Per parcel what one droplet contributes: `[sca | abs | emission of channel 0 | …]`, each over the groups, in m².
+struct ParcelRows {
+    width: usize,
+    rows: Vec<f64>,
+}
+
+impl ParcelRows {
+    fn new(field: &SprayField, table: &DropletTable, um: &[f64], sources: &[Source]) -> Self {
+        let groups = um.len();
+        let width = groups * (2 + sources.len());
+        let mut rows = vec![0.0; width * field.parcels.len()];
+        rows.par_chunks_mut(width).zip(&field.parcels).for_each(|(row, parcel)| {
+            if !droplets::counts(parcel) {
+                return;
+            }
+            let area = std::f64::consts::FRAC_PI_4 * parcel.diameter_m * parcel.diameter_m;
+            for (group, &um) in um.iter().enumerate() {
+                let (q_sca, q_abs) = table.efficiencies(group, parcel);
+                row[group] = area * q_sca;
+                row[groups + group] = area * q_abs;
+                for (channel, source) in sources.iter().enumerate() {
+                    row[(2 + channel) * groups + group] =
+                        area * q_abs * source.of_droplets(um, parcel.temperature_k);
+                }
+            }
+        });
+        Self { width, rows }
+    }
+
+    fn row(&self, parcel: usize) -> &[f64] {
+        &self.rows[parcel * self.width..(parcel + 1) * self.width]
+    }
+}
+
+/// Cross-section of the vapour per group over temperature, at steps of 1 K: the fuel's table is linear between
+/// whole kelvins, so nothing is lost.
+struct VapourTable {
+    nodes_k: Vec<f64>,
+    /// m²/mol, `[node][group]`.
+    m2_mol: Vec<Vec<f64>>,
+}
+
+impl VapourTable {
+    fn new(fuel: &Fuel, um: &[f64]) -> Self {
+        let [cold, hot] = fuel.vapour_range_k();
+        let mut nodes_k = vec![cold];
+        let mut next = cold.floor() + 1.0;
+        while next < hot {
+            nodes_k.push(next);
+            next += 1.0;
+        }
+        nodes_k.push(hot.max(cold + 1e-3));
+        let at = |t: &f64| um.iter().map(|&um| fuel.vapour_cross_section_m2_mol(um, *t)).collect();
+        let m2_mol = nodes_k.iter().map(at).collect();
+        Self { nodes_k, m2_mol }
+    }
+
+    fn add(&self, gas: &Gas, um: &[f64], sources: &[Source], ext: &mut [f64], emission: &mut [f64]) {
+        if gas.vapour_mol_m3 <= 0.0 {
+            return;
+        }
+        let (cold, warmth) = locate(&self.nodes_k, gas.temperature_k);
+        let (below, above) = (&self.m2_mol[cold], &self.m2_mol[cold + 1]);
+        for (group, &um) in um.iter().enumerate() {
+            let k_abs = gas.vapour_mol_m3 * (below[group] + warmth * (above[group] - below[group]));
+            if k_abs > 0.0 {
+                ext[group] += k_abs;
+                for (channel, source) in sources.iter().enumerate() {
+                    emission[channel * ext.len() + group] += k_abs * source.of_vapour(um, gas.temperature_k);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
