@@ -66,6 +66,11 @@ impl Direction {
         Ok(Self { versine: 2.0 * half * half, backward })
     }
 
+    /// 1 − cos θ, in [0, 2].
+    pub fn versine(self) -> f64 {
+        if self.backward { 2.0 - self.versine } else { self.versine }
+    }
+
     /// cos θ.
     pub fn cosine(self) -> f64 {
         if self.backward { self.versine - 1.0 } else { 1.0 - self.versine }

@@ -8,7 +8,7 @@ use crate::light::quadrature::gauss_legendre;
 /// Largest size parameter: the work grows as x² per angle.
 const SIZE_CUMULATIVE: f64 = 2e4;
 
-/// ½∫ p₁₁ dμ from cos θ to 1, for angles given as 1 − cos θ, in any order.
+/// ½∫ p₁₁ dμ from cos θ to 1, for directions in any order.
 ///
 /// p₁₁ is a polynomial in μ of twice the length of the series, so Gauss–Legendre with one node per order (and one
 /// more) is exact: error below 1e-12. NaN when the sphere scatters nothing.
@@ -16,7 +16,7 @@ const SIZE_CUMULATIVE: f64 = 2e4;
 /// # Errors
 ///
 /// As [`super::efficiencies`], with a lower limit of 2e4 for x.
-pub fn cumulative(sphere: Sphere, versines: &[f64]) -> Result<Vec<f64>, MieError> {
+pub fn cumulative(sphere: Sphere, directions: &[Direction]) -> Result<Vec<f64>, MieError> {
     let Sphere { size_parameter, n, k } = sphere.checked()?;
     if size_parameter > SIZE_CUMULATIVE {
         let inside = size_parameter * n.hypot(k);
@@ -27,10 +27,10 @@ pub fn cumulative(sphere: Sphere, versines: &[f64]) -> Result<Vec<f64>, MieError
     let terms = Terms::new(sphere);
     debug_assert!(terms.len() as f64 <= series_length(size_parameter), "one node per order is enough");
     let rule = gauss_legendre(terms.len() + 1);
-    Ok(versines
+    Ok(directions
         .iter()
-        .map(|&end| {
-            let half = 0.5 * end.clamp(0.0, 2.0);
+        .map(|direction| {
+            let half = 0.5 * direction.versine();
             let sum: f64 = rule
                 .iter()
                 .map(|&(node, weight)| {
@@ -59,9 +59,9 @@ mod tests {
         for sphere_rows in rows.chunk_by(|p, q| p[..3] == q[..3]) {
             let sphere =
                 Sphere { size_parameter: sphere_rows[0][0], n: sphere_rows[0][1], k: sphere_rows[0][2] };
-            let versines: Vec<f64> =
-                sphere_rows.iter().map(|row| 2.0 * (0.5 * row[3]).to_radians().sin().powi(2)).collect();
-            for (row, found) in sphere_rows.iter().zip(cumulative(sphere, &versines).unwrap()) {
+            let directions: Vec<Direction> =
+                sphere_rows.iter().map(|row| Direction::from_degrees(row[3]).unwrap()).collect();
+            for (row, found) in sphere_rows.iter().zip(cumulative(sphere, &directions).unwrap()) {
                 worst = worst.max((found - row[4]).abs());
                 assert!(
                     (found - row[4]).abs() <= 1e-12,
@@ -77,6 +77,9 @@ mod tests {
     #[test]
     fn spheres_too_large_for_it_are_refused() {
         let sphere = Sphere { size_parameter: 3e4, n: 1.4, k: 0.0 };
-        assert!(matches!(cumulative(sphere, &[1.0]), Err(MieError::TooLarge { .. })));
+        assert!(matches!(
+            cumulative(sphere, &[Direction::from_versine(1.0)]),
+            Err(MieError::TooLarge { .. })
+        ));
     }
 }

@@ -33,6 +33,9 @@ pub(super) fn counts(parcel: &Parcel) -> bool {
         && parcel.temperature_k.is_finite()
 }
 
+/// (Q_sca, Q_abs) per bin.
+type Efficiency = Vec<(f64, f64)>;
+
 /// Bin averages of Q_sca and Q_abs.
 pub(super) struct DropletTable {
     /// ln d of the first bin's centre.
@@ -74,7 +77,7 @@ impl DropletTable {
             let bin = whole((parcel.diameter_m.ln() - small) / BIN + 0.5).min(bins - 1);
             area[bin] += parcel.area_m2();
         }
-        let made: Vec<(Vec<(f64, f64)>, usize, f64)> = (0..um.len() * temperatures_k.len())
+        let made: Vec<(Efficiency, usize, f64)> = (0..um.len() * temperatures_k.len())
             .into_par_iter()
             .map(|task| {
                 let um = um[task / temperatures_k.len()];
@@ -154,7 +157,7 @@ struct Column {
 
 impl Column {
     /// Averages with as many radii per bin as the spray needs: values, Mie calculations, last relative change.
-    fn converged(&self, area: &[f64]) -> (Vec<(f64, f64)>, usize, f64) {
+    fn converged(&self, area: &[f64]) -> (Efficiency, usize, f64) {
         let total = |values: &[(f64, f64)]| {
             values
                 .iter()
