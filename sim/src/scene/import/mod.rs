@@ -3,16 +3,21 @@
 //! Reads as little as the optics need: parcels (place, diameter, temperature, number, density) and gas cells
 //! (box, temperature, pressure or density, mass fraction of the fuel). Judges nothing and spreads nothing.
 
+mod csv;
+mod ensight;
 mod error;
 mod gas_law;
+mod named;
 mod openfoam;
 mod shape;
+mod vtk;
 
 pub use error::{Place, SceneError};
 pub use gas_law::{NITROGEN_KG_MOL, fuel_molar_mass};
 
 use super::compact;
 use super::field::{CfdSpray, GasCell, Parcel};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Which time of a case.
@@ -66,6 +71,9 @@ impl ImportOptions {
 pub fn list(path: &Path) -> Result<Vec<f64>, SceneError> {
     match form(path)? {
         Form::OpenFoam(case) => Ok(openfoam::times(&case)?.into_iter().map(|t| t.0).collect()),
+        Form::Ensight(file) => Ok(ensight::open(&file)?.times()),
+        Form::Vtk(steps) => Ok(steps.into_iter().map(|s| s.time_s).collect()),
+        Form::Csv(folder) => Ok(vec![csv::time(&folder)?]),
         Form::Compact(file) => Ok(vec![read_compact(&file)?.time_s]),
     }
 }
@@ -84,6 +92,15 @@ pub fn read(path: &Path, time: Time, options: &ImportOptions) -> Result<CfdSpray
             let chosen = pick(&case, time, times, |t| t.0)?;
             openfoam::read(&case, &chosen, options)
         }
+        Form::Ensight(file) => {
+            let case = ensight::open(&file)?;
+            case.read(pick(&file, time, case.times(), |t| *t)?, options)
+        }
+        Form::Vtk(steps) => vtk::read(&pick(path, time, steps, |s| s.time_s)?, options),
+        Form::Csv(folder) => {
+            pick(&folder, time, vec![csv::time(&folder)?], |t| *t)?;
+            csv::read(&folder, options)
+        }
         Form::Compact(file) => {
             let spray = read_compact(&file)?;
             pick(&file, time, vec![spray.time_s], |t| *t)?;
@@ -95,6 +112,9 @@ pub fn read(path: &Path, time: Time, options: &ImportOptions) -> Result<CfdSpray
 /// A known form, with the file or folder where it starts.
 enum Form {
     OpenFoam(PathBuf),
+    Ensight(PathBuf),
+    Vtk(Vec<vtk::Step>),
+    Csv(PathBuf),
     Compact(PathBuf),
 }
 
@@ -111,6 +131,22 @@ fn form(path: &Path) -> Result<Form, SceneError> {
 fn folder_form(folder: &Path) -> Result<Form, SceneError> {
     if openfoam::is_case(folder) {
         return Ok(Form::OpenFoam(folder.to_owned()));
+    }
+    if csv::is_pair(folder) {
+        return Ok(Form::Csv(folder.to_owned()));
+    }
+    let cases: Vec<String> = names(folder)?.into_iter().filter(|n| n.ends_with(".case")).collect();
+    match cases.as_slice() {
+        [] => {}
+        [one] => return Ok(Form::Ensight(folder.join(one))),
+        several => {
+            let why = format!("several .case files ({}); name one", several.join(", "));
+            return Err(SceneError::Unknown { file: folder.to_owned(), why });
+        }
+    }
+    let steps = vtk::folder_steps(folder)?;
+    if !steps.is_empty() {
+        return Ok(Form::Vtk(steps));
     }
     if openfoam::is_collated(folder) {
         return Err(SceneError::Unsupported {
@@ -129,10 +165,38 @@ fn file_form(file: &Path) -> Result<Form, SceneError> {
     let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match extension.as_str() {
         "spray" => Ok(Form::Compact(file.to_owned())),
+        "case" => Ok(Form::Ensight(file.to_owned())),
+        "csv" => folder_form(file.parent().unwrap_or(Path::new("."))),
+        _ if vtk::is_vtk(file) => Ok(Form::Vtk(vtk::file_steps(file)?)),
         // The empty marker file that ParaView users keep in a case.
         "foam" => folder_form(file.parent().unwrap_or(Path::new("."))),
         _ => Err(SceneError::Unknown { file: file.to_owned(), why: format!("the ending is {extension:?}") }),
     }
+}
+
+/// All bytes of a file, unpacked if it starts like gzip.
+fn read_bytes(path: &Path) -> Result<Vec<u8>, SceneError> {
+    let raw = std::fs::read(path).map_err(|e| SceneError::access(path, "reading", &e))?;
+    if !raw.starts_with(&[0x1f, 0x8b]) {
+        return Ok(raw);
+    }
+    let mut bytes = Vec::with_capacity(raw.len().saturating_mul(6));
+    flate2::read::MultiGzDecoder::new(raw.as_slice()).read_to_end(&mut bytes).map_err(|e| {
+        SceneError::malformed(path, Place::Byte(bytes.len()), "more packed bytes", e.to_string())
+    })?;
+    Ok(bytes)
+}
+
+/// Names in a folder, sorted.
+fn names(folder: &Path) -> Result<Vec<String>, SceneError> {
+    let entries = std::fs::read_dir(folder).map_err(|e| SceneError::access(folder, "listing", &e))?;
+    let mut names = Vec::new();
+    for entry in entries {
+        let entry = entry.map_err(|e| SceneError::access(folder, "listing", &e))?;
+        names.push(entry.file_name().to_string_lossy().into_owned());
+    }
+    names.sort();
+    Ok(names)
 }
 
 fn read_compact(file: &Path) -> Result<CfdSpray, SceneError> {

@@ -4,7 +4,6 @@
 //! `arch "LSB;label=32;scalar=64"` tells the sizes. Seen with OpenFOAM v1912.
 
 use super::super::error::{Place, SceneError};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// A value for all, or one for each.
@@ -62,19 +61,6 @@ pub(super) fn find(folder: &Path, name: &str) -> Option<PathBuf> {
     [plain, packed].into_iter().find(|p| p.is_file())
 }
 
-/// All bytes of a file, unpacked if it starts like gzip.
-pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>, SceneError> {
-    let raw = std::fs::read(path).map_err(|e| SceneError::access(path, "reading", &e))?;
-    if !raw.starts_with(&[0x1f, 0x8b]) {
-        return Ok(raw);
-    }
-    let mut bytes = Vec::with_capacity(raw.len().saturating_mul(6));
-    flate2::read::MultiGzDecoder::new(raw.as_slice()).read_to_end(&mut bytes).map_err(|e| {
-        SceneError::malformed(path, Place::Byte(bytes.len()), "more packed bytes", e.to_string())
-    })?;
-    Ok(bytes)
-}
-
 impl FoamFile {
     /// Opens `name` or `name.gz` in a folder; `None` if there is neither.
     pub(super) fn find(folder: &Path, name: &str) -> Result<Option<Self>, SceneError> {
@@ -93,7 +79,7 @@ impl FoamFile {
     }
 
     fn open(path: &Path) -> Result<Self, SceneError> {
-        let bytes = read_bytes(path)?;
+        let bytes = super::super::read_bytes(path)?;
         let mut file = Self {
             path: path.to_owned(),
             bytes,

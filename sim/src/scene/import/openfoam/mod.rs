@@ -9,7 +9,7 @@ mod mesh;
 use super::super::field::{CfdSpray, GasCell, Parcel};
 use super::error::{Place, SceneError};
 use super::shape::Box3;
-use super::{ImportOptions, Made, gas_law};
+use super::{ImportOptions, Made, gas_law, names};
 use foam_file::{FoamFile, Spot, Values};
 use mesh::Mesh;
 use rayon::prelude::*;
@@ -142,17 +142,6 @@ fn parts(case: &Path) -> Result<Vec<PathBuf>, SceneError> {
         return Ok(vec![case.to_owned()]);
     }
     Ok(numbered.into_iter().map(|n| n.1).collect())
-}
-
-fn names(folder: &Path) -> Result<Vec<String>, SceneError> {
-    let entries = std::fs::read_dir(folder).map_err(|e| SceneError::access(folder, "listing", &e))?;
-    let mut names = Vec::new();
-    for entry in entries {
-        let entry = entry.map_err(|e| SceneError::access(folder, "listing", &e))?;
-        names.push(entry.file_name().to_string_lossy().into_owned());
-    }
-    names.sort();
-    Ok(names)
 }
 
 /// Folders of the mesh's topology and of its points at a time; a moving mesh has new ones in the time folder.
