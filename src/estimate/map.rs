@@ -601,6 +601,7 @@ struct Solver<'a> {
 struct Fitted {
     line: Line,
     covariance: Covariance,
+    slope_variance: f64,
     /// Quantiles for the crossing and the slope.
     t_crossing: f64,
     t_slope: f64,
@@ -679,7 +680,14 @@ impl Solver<'_> {
         let t = self.quantiles.at((points - 2) as f64);
         let flags = if points == 2 { flag::NO_STATISTICS } else { 0 };
         let covariance = line.covariance_scaled(points);
-        Some(Fitted { line, covariance, t_crossing: t, t_slope: t, flags })
+        Some(Fitted {
+            line,
+            covariance,
+            slope_variance: covariance.slope,
+            t_crossing: t,
+            t_slope: t,
+            flags,
+        })
     }
 
     fn paper(&self, pixel: &mut Pixel) -> Option<Fitted> {
@@ -691,7 +699,15 @@ impl Solver<'_> {
         pixel.weights.extend(own.map(|(&v, &n)| n / v.max(line::ROUNDING_VARIANCE)));
         let line = line::weighted(&pixel.x, &pixel.y, &pixel.weights)?;
         let t = self.quantiles.at(f64::INFINITY);
-        Some(Fitted { line, covariance: line.covariance(), t_crossing: t, t_slope: t, flags: 0 })
+        let covariance = line.covariance();
+        Some(Fitted {
+            line,
+            covariance,
+            slope_variance: covariance.slope,
+            t_crossing: t,
+            t_slope: t,
+            flags: 0,
+        })
     }
 
     fn default(&self, pixel: &mut Pixel) -> Option<Fitted> {
@@ -708,6 +724,7 @@ impl Solver<'_> {
         Some(Fitted {
             line: fit.line,
             covariance: fit.covariance,
+            slope_variance: fit.slope_variance,
             t_crossing: self.quantiles.at(fit.freedom_crossing),
             t_slope: self.quantiles.at(fit.freedom_slope),
             flags: if fit.camera_only { flag::NO_STATISTICS } else { 0 },
@@ -716,12 +733,12 @@ impl Solver<'_> {
 
     /// From the line to emissivity and temperature; returns flags.
     fn judge(&self, fitted: &Fitted, values: &mut [f64; CHANNELS.len()]) -> u32 {
-        let Fitted { line, covariance, t_crossing, t_slope, .. } = fitted;
+        let Fitted { line, covariance, slope_variance, t_crossing, t_slope, .. } = fitted;
         let inputs = self.inputs;
         let default = inputs.estimator == Estimator::Default;
         let mut flags = 0;
         let emissivity = -line.slope / inputs.gamma_near;
-        let sigma = covariance.slope.sqrt() / inputs.gamma_near;
+        let sigma = slope_variance.sqrt() / inputs.gamma_near;
         values[0] = line.slope;
         values[1] = line.offset;
         values[2] = line.crossing;

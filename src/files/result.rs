@@ -159,7 +159,14 @@ pub fn previews(map: &DitMap, title: &str) -> Vec<(&'static str, &'static str, s
             colours,
         })
     };
-    let above_zero = |values: &[f64]| (0.0, preview::round_range(values).1.max(1e-6));
+    // A few hardly resolved pixels at the spray's edge shall not darken all others.
+    let above_zero = |values: &[f64]| {
+        let mut finite: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+        finite.sort_unstable_by(f64::total_cmp);
+        let high = finite.get(finite.len() * 9 / 10).copied().unwrap_or(1.0).max(1e-6);
+        let step = preview::tick_step(high);
+        (0.0, (high / step).ceil() * step)
+    };
     vec![
         (
             "preview_emissivity.png",
