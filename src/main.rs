@@ -1,6 +1,7 @@
 //! The `ditd` program: parses the command line, runs one command, turns its end into an exit status.
 
 use clap::Parser;
+use ditd::clock::Clock;
 use ditd::commands;
 use std::process::ExitCode;
 
@@ -16,6 +17,8 @@ struct Cli {
 enum Command {
     /// Run a campaign on a real or simulated rig, up to the maps and the report
     Run(commands::run::Args),
+    /// Go on with a run that was paused or killed
+    Resume(commands::resume::Args),
     /// Validate a config and print its plan, time, bytes and limits; touches no instrument
     Check(commands::check::Args),
     /// Feed a recorded run through the live path again and compare the results byte for byte
@@ -37,13 +40,15 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    let clock = Clock::start();
     let cli = Cli::parse();
     let ended = match cli.command {
-        Command::Run(args) => commands::run::run(args),
+        Command::Run(args) => commands::run::run(args, &clock),
+        Command::Resume(args) => commands::resume::run(args, &clock),
         Command::Check(args) => commands::check::run(args),
         Command::Replay(args) => commands::replay::run(args),
-        Command::Calibrate(args) => commands::calibrate::run(args),
-        Command::Safe(args) => commands::safe::run(args),
+        Command::Calibrate(args) => commands::calibrate::run(args, &clock),
+        Command::Safe(args) => commands::safe::run(args, &clock),
         Command::Fit(args) => commands::fit::run(args),
         Command::Render(args) => commands::render::run(args),
         Command::Mie(args) => commands::mie::run(args),

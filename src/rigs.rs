@@ -7,7 +7,7 @@ use crate::truth::WorldTruth;
 use ditd_drivers::error::DriverError;
 use ditd_drivers::fluke_418x::Fluke418x;
 use ditd_drivers::quantum_9520::{Quantum9520, TriggerLimits};
-use ditd_drivers::wire::{self, Wire};
+use ditd_drivers::wire::{Wire, WireSettings};
 use ditd_sim::rig::build::{self, BuildError};
 use ditd_sim::rig::camera::{SimCamera, WorldState};
 use ditd_sim::rig::chamber::World;
@@ -16,7 +16,6 @@ use ditd_sim::rig::truth::{Sampling, Truth};
 use ditd_sim::rig::{fluke_418x as fluke_sim, quantum_9520 as quantum_sim};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 use tokio::sync::mpsc;
 
 pub use ditd_sim::rig::build::View;
@@ -147,12 +146,12 @@ impl Prepared {
         let plate_wire = if config.plate.address == "sim" {
             let rig = rig.ok_or_else(no_world)?;
             let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
-            let plate = Arc::new(Mutex::new(Plate::new(&rig.plate, config.campaign.seed)));
+            let plate = Arc::new(Mutex::new(Plate::new(rig.plate.clone(), config.campaign.seed)));
             tokio::spawn(fluke_sim::serve(theirs, Arc::clone(&plate), rig.calibrator.clone(), start));
             (Wire::over(ours, "plate calibrator at sim"), Some(plate))
         } else {
-            let baud = config.plate.baud.unwrap_or(ditd_drivers::fluke_418x::BAUD);
-            (wire::open(&config.plate.address, baud, "plate calibrator").await?, None)
+            let settings = line_settings(config.plate.baud, ditd_drivers::fluke_418x::wire_settings());
+            (Wire::open(&config.plate.address, "plate calibrator", &settings).await?, None)
         };
         let (plate_wire, plate) = plate_wire;
         let (pulses, received) = mpsc::channel(PULSES_MAX);
@@ -162,14 +161,15 @@ impl Prepared {
             tokio::spawn(quantum_sim::serve(theirs, pulses, rig.pulser.clone(), start));
             Wire::over(ours, "trigger unit at sim")
         } else {
-            let baud = config.trigger.baud.unwrap_or(ditd_drivers::quantum_9520::BAUD);
-            wire::open(&config.trigger.address, baud, "trigger unit").await?
+            let settings = line_settings(config.trigger.baud, ditd_drivers::quantum_9520::wire_settings());
+            Wire::open(&config.trigger.address, "trigger unit", &settings).await?
         };
         let camera = self.camera(plate, received)?;
         let limits = TriggerLimits {
-            injection_max: Duration::from_secs_f64(config.trigger.injection_limit_s),
-            injection_interval_min: Duration::from_secs_f64(config.trigger.injection_interval_limit_s),
-            readout: Duration::from_secs_f64(config.camera.readout_s),
+            injector_pulse_max_s: config.trigger.injection_limit_s,
+            injection_interval_min_s: config.trigger.injection_interval_limit_s,
+            camera_integration_s: config.camera.integration_s,
+            camera_readout_s: config.camera.readout_s,
         };
         Ok(Opened {
             instruments: Instruments {
@@ -276,6 +276,11 @@ impl Prepared {
             .collect();
         if seen.is_empty() { f64::NAN } else { seen.iter().sum::<f64>() / seen.len() as f64 }
     }
+}
+
+/// The instrument's delivered line settings, with the campaign file's baud rate.
+fn line_settings(baud: Option<u32>, delivered: WireSettings) -> WireSettings {
+    baud.map_or(delivered, |baud| WireSettings { baud })
 }
 
 fn no_world() -> OpenError {

@@ -480,13 +480,24 @@ pub fn kind(key: Key) -> Kind {
     table_row(key).kind
 }
 
+/// Whether a key exists for `:PULSEn` with this number.
+pub fn belongs_to(key: Key, channel: u32) -> bool {
+    match table_row(key).place {
+        Place::Unit => false,
+        Place::Clock => channel == 0,
+        Place::Channel => channel > 0,
+        Place::Any => true,
+    }
+}
+
+/// Whether a key lies below `:PULSE`, so that without a number the channel selected last is meant.
+pub fn needs_channel(key: Key) -> bool {
+    table_row(key).place != Place::Unit
+}
+
 fn fit(row: &'static Row, path: &str) -> Option<(&'static Row, Option<u32>)> {
     let Fit::Yes(channel) = path_fits(row.pattern, path) else { return None };
-    let fits = match (row.place, channel) {
-        (Place::Clock, Some(number)) => number == 0,
-        (Place::Channel, Some(number)) => number > 0,
-        _ => true,
-    };
+    let fits = channel.is_none_or(|number| belongs_to(row.key, number));
     fits.then_some((row, channel))
 }
 

@@ -671,6 +671,32 @@ mod tests {
         assert!(matches!(error, DriverError::Garbled { .. }), "{error}");
     }
 
+    /// Real time, on a pseudo-terminal: the path of a real port, and what a second daemon gets.
+    #[cfg(unix)]
+    #[tokio::test]
+    async fn a_serial_port_is_opened_once_and_carries_lines() {
+        use tokio_serial::{SerialPort, SerialStream};
+        let (mut far, near) = SerialStream::pair().unwrap();
+        let address = format!("serial:{}", near.name().unwrap());
+        drop(near);
+        let settings = WireSettings { baud: 9600 };
+        let mut wire = Wire::open(&address, "plate calibrator", &settings).await.unwrap();
+        wire.adopt(LineHabits { sign: None, ..habits() });
+        let error = Wire::open(&address, "plate calibrator", &settings).await.unwrap_err();
+        assert!(error.to_string().contains("Another program"), "{error}");
+        let answered = tokio::spawn(async move {
+            let mut bytes = [0; 3];
+            far.read_exact(&mut bytes).await.unwrap();
+            far.write_all(b"24.091\r").await.unwrap();
+            // Held open until the other side has read.
+            far
+        });
+        assert_eq!(wire.ask("T?", "asking").await.unwrap(), "24.091");
+        drop(answered.await.unwrap());
+        let error = wire.ask("T?", "asking").await.unwrap_err();
+        assert!(matches!(error, DriverError::Lost { .. }), "{error}");
+    }
+
     #[tokio::test]
     async fn what_cannot_be_opened_is_missing_and_says_what_to_try() {
         let settings = WireSettings { baud: 9600 };

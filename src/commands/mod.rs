@@ -5,7 +5,11 @@ pub mod check;
 pub mod fit;
 pub mod import;
 
+use crate::campaign::StopFlag;
+use crate::clock::Clock;
 use crate::config::Config;
+use crate::interrupt;
+use crate::session::{SessionError, Setting};
 use crate::samples::{self, Source};
 use std::io::Write;
 use std::path::Path;
@@ -14,6 +18,7 @@ pub mod planck;
 pub mod render;
 pub mod replay;
 pub mod run;
+pub mod resume;
 pub mod safe;
 
 /// Why a command ended without success, with the exit status of the contract: 1 failure, 2 usage or config,
@@ -44,6 +49,24 @@ fn load(path: &Path) -> Result<(Source, Config), CommandError> {
     let source = samples::open(path).map_err(CommandError::usage)?;
     let config = Config::parse(&source.name, &source.text).map_err(|error| CommandError::usage(error.to_string()))?;
     Ok((source, config))
+}
+
+/// Signals become wishes from here on.
+fn listen() -> Result<StopFlag, CommandError> {
+    let stop = StopFlag::default();
+    interrupt::listen(stop.clone()).map_err(|error| CommandError::failure(format!("signals: {error}")))?;
+    Ok(stop)
+}
+
+/// What a session is told, with the signals listened to.
+fn setting<'a>(source: &'a Source, config: &'a Config, clock: &Clock) -> Result<Setting<'a>, CommandError> {
+    Ok(Setting { source, config, clock: *clock, stop: listen()? })
+}
+
+impl From<SessionError> for CommandError {
+    fn from(error: SessionError) -> Self {
+        Self { code: error.code(), message: error.to_string() }
+    }
 }
 
 /// Writes to standard output; a reader that has gone away is no failure.

@@ -1,16 +1,24 @@
-//! `ditd safe`.
+//! `ditd safe`: brings the rig to its safe state.
 
-use super::{CommandError, CommandResult};
+use super::{CommandResult, load, print, setting};
+use crate::clock::Clock;
+use crate::session;
+use std::path::PathBuf;
 
 /// Arguments of `ditd safe`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Campaign file, or the name of a built-in one
+    config: PathBuf,
+}
 
-/// Runs the command.
+/// Injector channel off, trigger clock off, camera off, plate to its minimum. Idempotent.
 ///
 /// # Errors
 ///
-/// As [`CommandError`] says.
-pub fn run(_args: Args) -> CommandResult {
-    Err(CommandError::failure("safe: not there yet"))
+/// Status 3 when an instrument is missing, 4 when the safe state could not be confirmed.
+pub fn run(args: Args, clock: &Clock) -> CommandResult {
+    let (source, config) = load(&args.config)?;
+    session::make_safe(&setting(&source, &config, clock)?)?;
+    print("safe: injector channel off, trigger clock off, camera off, plate to its minimum\n")
 }

@@ -11,9 +11,9 @@ use crate::light::fuel::{Fuel, FuelError};
 use crate::light::window::{Material, Plate as WindowPlate};
 use crate::rig::RigError;
 use crate::scene::deposit::{self, DepositOptions};
-use crate::scene::field::{CfdSpray, SceneError};
-use crate::scene::optics::{self, OpticsError, Source, Species};
-use crate::scene::import::{self, ImportOptions, Time};
+use crate::scene::field::CfdSpray;
+use crate::scene::optics::{self, Source, Species, Strength};
+use crate::scene::import::{self, ImportOptions, SceneError, Time};
 use crate::scene::compact;
 use crate::tracer::camera::{Camera, PixelFilter, Projection};
 use crate::tracer::error::TracerError;
@@ -40,9 +40,6 @@ pub enum BuildError {
     /// The fuel.
     #[error("simulated rig: the fuel: {0}")]
     Fuel(#[from] FuelError),
-    /// The coefficients.
-    #[error("simulated rig: coefficients of the spray: {0}")]
-    Optics(#[from] OpticsError),
     /// The rendering.
     #[error("simulated rig: rendering: {0}")]
     Tracer(#[from] TracerError),
@@ -161,16 +158,17 @@ fn spray_sights(
     let (field, _) = deposit::field(&cfd, &options)?;
     let fuel = Fuel::named(&spray.fuel)?;
     let offset_k = spray.temperature_offset_k;
+    let radiance = |species, offset_k| Source { species, strength: Strength::Radiance { offset_k } };
     let sources = [
-        Source::Unit { of: Species::All },
-        Source::Radiance { of: Species::All, offset_k: 0.0 },
-        Source::Radiance { of: Species::All, offset_k: -offset_k },
-        Source::Radiance { of: Species::All, offset_k },
-        Source::Unit { of: Species::Droplets },
-        Source::Radiance { of: Species::Droplets, offset_k: 0.0 },
+        Source::UNIT,
+        radiance(Species::All, 0.0),
+        radiance(Species::All, -offset_k),
+        radiance(Species::All, offset_k),
+        Source { species: Species::Droplets, strength: Strength::Unit },
+        radiance(Species::Droplets, 0.0),
     ];
     progress("cross-sections of droplets and vapour", 0.02);
-    let medium = optics::medium(&field, &fuel, band, &sources)?;
+    let medium = optics::medium(&field, &fuel, band, &sources);
     let camera = camera(config);
     let plate = PlateShape::Disc {
         centre_m: config.plate_view.centre_m,
