@@ -34,6 +34,9 @@ const WISH_POLL: Duration = Duration::from_millis(250);
 /// Cycles in a row without a single frame after which the trigger or the camera is taken for dead.
 const SILENT_CYCLES_MAX: u32 = 2;
 
+/// Relative difference of the integration time that a camera may round to: far below the 1e-3 that would show.
+const INTEGRATION_TOLERANCE: f64 = 1e-6;
+
 /// Where an interrupted soak or a plate that leaves its band is soaked again, at most this often per level.
 const RESOAKS_MAX: u32 = 5;
 
@@ -289,7 +292,8 @@ impl Engine<'_> {
         self.instruments.plate.prepare(&calibrator_settings(self.config)).await?;
         let wanted = camera_settings(self.config);
         let taken = self.instruments.camera.prepare(&wanted).await?;
-        if taken != wanted {
+        let same_time = (taken.integration_s / wanted.integration_s - 1.0).abs() < INTEGRATION_TOLERANCE;
+        if (CameraSettings { integration_s: wanted.integration_s, ..taken.clone() }) != wanted || !same_time {
             return Err(Interrupt::Error(CampaignError::Driver(DriverError::Refused {
                 who: format!("camera at {}", self.config.camera.address),
                 doing: "setting region, integration time and depth".to_owned(),
