@@ -315,7 +315,7 @@ impl Unit {
         }
         let range = self.range(header).ok_or(CommandError::Type)?;
         let number = match value {
-            Value::Number(number) => self.from_line(header, *number),
+            Value::Number(number) => self.taken_as(header, *number),
             Value::Least => range.least,
             Value::Greatest => range.greatest,
             Value::Default => range.default,
@@ -379,7 +379,7 @@ impl Unit {
     }
 
     /// A parameter as °C, kelvin or whatever the header takes: temperatures follow `UNIT:TEMP`.
-    fn from_line(&self, header: Header, number: f64) -> f64 {
+    fn taken_as(&self, header: Header, number: f64) -> f64 {
         match header {
             Header::SetPoint | Header::Preset | Header::SoftCutout if self.fahrenheit => {
                 (number - 32.0) / 1.8
