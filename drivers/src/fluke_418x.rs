@@ -32,6 +32,9 @@ const CONFIRM_TOLERANCE_EMISSIVITY: f64 = 0.000_6;
 /// Tries of one query, each followed by finding the thread again. A third failure in a row is no accident.
 const QUERY_TRIES: u32 = 3;
 
+/// Tries of one set that is not confirmed.
+const SET_TRIES: u32 = 2;
+
 /// Temperatures outside of this range, in °C, are noise on the line: well beyond what either model can show.
 const PLAUSIBLE_C: std::ops::RangeInclusive<f64> = -60.0..=620.0;
 
@@ -182,6 +185,13 @@ pub enum Act {
 }
 
 /// One command.
+///
+/// ```
+/// use ditd_drivers::fluke_418x::{Command, Header};
+/// let command = Command::set(Header::SetPoint, 50.0);
+/// assert_eq!(command.encode(), "SOUR:SPO 50");
+/// assert_eq!(Command::decode("source:spoint 50.00 C"), Ok(command));
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Command {
     /// What it is about.
@@ -537,7 +547,8 @@ impl Fluke418x {
         }
     }
 
-    /// Tells a value and confirms it by its query.
+    /// Tells a value and confirms it by its query. A set has no reply, so one that was lost or garbled on the line is
+    /// noticed only here, and told once more.
     async fn set_confirmed(
         &mut self,
         header: Header,
@@ -545,13 +556,16 @@ impl Fluke418x {
         tolerance: f64,
         doing: &str,
     ) -> Result<f64, DriverError> {
-        self.wire.tell(&Command::set(header, value).encode(), doing).await?;
-        let taken = self.query(header, decode_number, doing).await?;
-        if (taken - value).abs() <= tolerance {
-            return Ok(taken);
+        let mut held = f64::NAN;
+        for _ in 0..SET_TRIES {
+            self.wire.tell(&Command::set(header, value).encode(), doing).await?;
+            held = self.query(header, decode_number, doing).await?;
+            if (held - value).abs() <= tolerance {
+                return Ok(held);
+            }
         }
         let words = self.error_words(doing).await?;
-        Err(self.refused(doing, format!("told {value}, holds {taken}; the instrument says {words:?}")))
+        Err(self.refused(doing, format!("told {value}, holds {held}; the instrument says {words:?}")))
     }
 
     async fn error_words(&mut self, doing: &str) -> Result<String, DriverError> {
@@ -680,6 +694,9 @@ impl Calibrator for Fluke418x {
         self.settings = None;
         // Users Guide, command table: SOUR:EMIS, SOUR:RATE, SOUR:STAB:LIM.
         let stability_k = settings.stability.0;
+        if !settings.limit.0.is_finite() {
+            return Err(self.limit("preparing", "the configured limit is not a number".to_owned()));
+        }
         for (name, value, least, greatest) in [
             ("emissivity setting", settings.display_emissivity, 0.9, 1.0),
             ("scan rate in K per minute", settings.rate_k_per_min, 0.1, 500.0),
@@ -753,13 +770,16 @@ impl Calibrator for Fluke418x {
                 .await?;
         }
         let apparent = self.query(Header::Temperature, decode_celsius, doing).await;
-        Ok(PlateReading {
+        let reading = PlateReading {
             apparent: Kelvin::from_celsius(apparent.unwrap_or(block_c)),
             block: Kelvin::from_celsius(block_c),
             set_point: Kelvin::from_celsius(SAFE_SET_POINT_C),
             stable: self.query(Header::Stable, decode_flag, doing).await?,
             tripped: self.query(Header::Tripped, decode_flag, doing).await?,
-        })
+        };
+        // Whoever comes to the rig now needs the keypad. Where a password is asked for it was never locked.
+        self.wire.tell(&Command::set(Header::KeypadLock, 0.0).encode(), "unlocking the keypad").await?;
+        Ok(reading)
     }
 }
 

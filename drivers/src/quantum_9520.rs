@@ -32,6 +32,9 @@ const BAUD: u32 = 115_200;
 /// Highest count of any counter (command table).
 const COUNT_MAX: u64 = 9_999_999;
 
+/// A year: a longer burst is a slip of a decimal point, and its times would overflow.
+const BURST_MAX_NS: u64 = 365 * 86_400 * 1_000_000_000;
+
 const PS_PER_NS: i64 = 1000;
 const PS_PER_S: i64 = 1_000_000_000_000;
 
@@ -313,6 +316,13 @@ pub enum Act {
 }
 
 /// One command.
+///
+/// ```
+/// use ditd_drivers::quantum_9520::{Command, Key, Value};
+/// let command = Command::set_channel(0, Key::Period, Value::Time(20_000_000_000));
+/// assert_eq!(command.encode(), ":PULSE0:PER 0.020000000");
+/// assert_eq!(Command::decode(":puls0:period 0.02"), Ok(command));
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Command {
     /// What it is about.
@@ -699,10 +709,22 @@ impl Quantum9520 {
         let camera_end_ns = program.camera_delay_ns.saturating_add(program.camera_width_ns);
         let injector_end_ns = program.injector_delay_ns.saturating_add(program.injector_width_ns);
         let injector_s = ns(program.injector_width_ns);
-        let complaint = if !(50..=5_000_000_000_000).contains(&program.period_ns) {
+        let limits_are_numbers = [
+            limits.injector_pulse_max_s,
+            limits.injection_interval_min_s,
+            limits.camera_integration_s,
+            limits.camera_readout_s,
+        ]
+        .iter()
+        .all(|limit| limit.is_finite() && *limit >= 0.0);
+        let complaint = if !limits_are_numbers {
+            format!("the limits must be numbers from 0 on: {limits:?}")
+        } else if !(50..=5_000_000_000_000).contains(&program.period_ns) {
             format!("period {period_s} s: the unit's clock goes from 50 ns to 5000 s")
         } else if program.cycles == 0 || pulses > COUNT_MAX {
             format!("{pulses} clock pulses in a burst: the unit counts from 1 to {COUNT_MAX}")
+        } else if program.period_ns.saturating_mul(pulses) > BURST_MAX_NS {
+            format!("a burst of {pulses} periods of {period_s} s would last for more than a year")
         } else if frames >= u64::from(program.cycle_periods) {
             format!("{frames} frames in a cycle of {} periods: no pause is left", program.cycle_periods)
         } else if period_s < camera_s {

@@ -97,6 +97,12 @@ pub struct Garbage {
 ///
 /// CR, LF or CR LF ends a line, a lone CR at once; empty lines are skipped, so that the LF of a CR LF vanishes.
 /// Bytes outside 0x20 … 0x7e reject the whole line.
+///
+/// ```
+/// let mut decoder = ditd_drivers::wire::LineDecoder::default();
+/// let lines: Vec<_> = b"24.091\r50.000\r\n".iter().filter_map(|byte| decoder.push(*byte)).collect();
+/// assert_eq!(lines, [Ok("24.091".to_owned()), Ok("50.000".to_owned())]);
+/// ```
 #[derive(Debug, Clone, Default)]
 pub struct LineDecoder {
     bytes: Vec<u8>,

@@ -4,7 +4,7 @@
 //! otherwise, sets are silent, bad commands get silence and an entry in the error queue, a reply that was not read
 //! before the next command is lost. Knows no heat: that is the plate's.
 
-use crate::rig::line::{Line, LineFault, Unsent};
+use crate::rig::line::{Line, LineFault, Unsent, check_seconds};
 use crate::rig::plate::Plate;
 use ditd_drivers::fluke_418x::{
     Act, Command, CommandError, Header, Model, Value, Write, encode_identity, encode_number, write_access,
@@ -64,6 +64,15 @@ impl FlukeBehaviour {
         }
     }
 
+    /// Whether the behaviour can be played.
+    ///
+    /// # Errors
+    /// Names the key whose value is impossible.
+    pub fn check(&self) -> Result<(), String> {
+        check_seconds("reply_delay_s", self.reply_delay_s)?;
+        self.faults.iter().try_for_each(LineFault::check)
+    }
+
     fn paper_model() -> Model {
         Model::Fluke4181
     }
@@ -77,13 +86,14 @@ impl FlukeBehaviour {
 /// Answers on a stream until the other side has gone. `start` is the zero of the rig's clock, which the plate shares.
 ///
 /// # Panics
-/// When another user of the plate has panicked while holding it, or the reply delay is negative.
+/// When another user of the plate has panicked while holding it, or the behaviour fails its check.
 pub async fn serve(
     stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
     plate: Arc<Mutex<Plate>>,
     behaviour: FlukeBehaviour,
     start: Instant,
 ) {
+    assert_eq!(behaviour.check(), Ok(()), "the behaviour was checked where it was read");
     let delay = Duration::from_secs_f64(behaviour.reply_delay_s);
     let mut line = Line::new(stream, behaviour.faults.clone(), Unsent::Lost, start);
     let mut unit = Unit::new(&behaviour, plate);
@@ -726,5 +736,7 @@ mod tests {
         assert_eq!(behaviour.faults, [LineFault::Late { every: 7, delay_s: 1.5 }]);
         assert_eq!(toml::from_str::<FlukeBehaviour>("").unwrap(), FlukeBehaviour::fluke_4181());
         assert!(toml::from_str::<FlukeBehaviour>("colour = 1\n").is_err());
+        let impossible: FlukeBehaviour = toml::from_str("reply_delay_s = -0.1\n").unwrap();
+        assert!(impossible.check().unwrap_err().starts_with("reply_delay_s"));
     }
 }

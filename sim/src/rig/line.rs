@@ -49,6 +49,38 @@ pub enum LineFault {
     },
 }
 
+impl LineFault {
+    /// Whether the fault can be played.
+    ///
+    /// # Errors
+    /// Names the key whose value is impossible.
+    pub fn check(&self) -> Result<(), String> {
+        match self {
+            Self::Late { every, delay_s } => {
+                check_every(*every).and_then(|()| check_seconds("delay_s", *delay_s))
+            }
+            Self::Garbled { every } | Self::Missing { every } | Self::Doubled { every } => {
+                check_every(*every)
+            }
+            Self::Silent { from_s } => check_seconds("from_s", *from_s),
+        }
+    }
+}
+
+fn check_every(every: u64) -> Result<(), String> {
+    if every > 0 { Ok(()) } else { Err("every = 0: replies are counted from 1".to_owned()) }
+}
+
+/// A time from 0 to the longest that a rig could run.
+pub(super) fn check_seconds(name: &str, seconds: f64) -> Result<(), String> {
+    // 10^9 s are 32 years.
+    if (0.0..=1e9).contains(&seconds) {
+        Ok(())
+    } else {
+        Err(format!("{name} = {seconds}: expected seconds from 0 to 1e9"))
+    }
+}
+
 /// How an instrument treats a reply that was not yet sent when the next command comes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unsent {
@@ -133,7 +165,7 @@ impl<S: AsyncRead + AsyncWrite> Line<S> {
         let mut due = Instant::now() + delay;
         let mut losable = true;
         let count = self.replies_made;
-        let hits = |every: &u64| count.is_multiple_of((*every).max(1));
+        let hits = |every: &u64| count.is_multiple_of(*every);
         for fault in &self.faults {
             match fault {
                 LineFault::Late { every, delay_s } if hits(every) => {
@@ -236,6 +268,18 @@ mod tests {
         ] {
             assert_eq!(heard(vec![fault.clone()], Unsent::Kept, &said).await, expected, "{fault:?}");
         }
+    }
+
+    #[test]
+    fn impossible_faults_are_named() {
+        for (fault, name) in [
+            (LineFault::Late { every: 1, delay_s: -1.0 }, "delay_s"),
+            (LineFault::Late { every: 0, delay_s: 1.0 }, "every"),
+            (LineFault::Silent { from_s: f64::NAN }, "from_s"),
+        ] {
+            assert!(fault.check().unwrap_err().starts_with(name), "{fault:?}");
+        }
+        assert_eq!(LineFault::Doubled { every: 3 }.check(), Ok(()));
     }
 
     #[tokio::test(start_paused = true)]

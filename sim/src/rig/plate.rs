@@ -199,26 +199,9 @@ impl Plate {
     /// A plate at room temperature, output off, at time 0. `seed` keys the noise of its display.
     ///
     /// # Panics
-    /// When a time constant or the room temperature is not positive.
+    /// When the model fails its check.
     pub fn new(model: PlateModel, seed: u64) -> Self {
-        let dynamics = &model.dynamics;
-        let positive = [
-            model.ambient_k,
-            dynamics.heater_k_per_s,
-            dynamics.rate_max_k_per_s,
-            dynamics.cooling_time_s,
-            dynamics.heater_lag_s,
-            dynamics.surface_lag_s,
-            dynamics.band_k,
-            dynamics.integral_s,
-            dynamics.approach_s,
-            dynamics.ripple_decay_s,
-            dynamics.ripple_period_s,
-        ];
-        assert!(
-            positive.iter().all(|value| *value > 0.0),
-            "time constants and rates are positive: {model:?}"
-        );
+        assert_eq!(model.check(), Ok(()), "the model was checked where it was read");
         let ambient_k = model.ambient_k;
         Self {
             // At delivery, command table: 25 °C, 100 K/min, 0.4 K, soft cutout 520 °C.
@@ -466,6 +449,75 @@ impl Plate {
 }
 
 impl PlateModel {
+    /// Whether the plate can be played.
+    ///
+    /// # Errors
+    /// Names the key whose value is impossible.
+    pub fn check(&self) -> Result<(), String> {
+        let d = &self.dynamics;
+        let no_less_than = |least: f64, values: &[(&str, f64)]| {
+            values.iter().try_for_each(|(name, value)| {
+                if *value >= least && value.is_finite() {
+                    Ok(())
+                } else {
+                    Err(format!("{name} = {value}: expected a number from {least} on"))
+                }
+            })
+        };
+        // Below four steps the explicit integration would swing by itself.
+        let lag_s = 4.0 * STEP_S;
+        no_less_than(
+            lag_s,
+            &[
+                ("cooling_time_s", d.cooling_time_s),
+                ("heater_lag_s", d.heater_lag_s),
+                ("surface_lag_s", d.surface_lag_s),
+                ("integral_s", d.integral_s),
+                ("approach_s", d.approach_s),
+                ("ripple_decay_s", d.ripple_decay_s),
+                ("ripple_period_s", d.ripple_period_s),
+            ],
+        )?;
+        no_less_than(
+            1e-3,
+            &[
+                ("ambient_k", self.ambient_k),
+                ("heater_k_per_s", d.heater_k_per_s),
+                ("rate_max_k_per_s", d.rate_max_k_per_s),
+                ("band_k", d.band_k),
+            ],
+        )?;
+        no_less_than(
+            0.0,
+            &[
+                ("display_noise_k", self.display_noise_k),
+                ("cooler_k_per_s", d.cooler_k_per_s),
+                ("cooling_growth_per_k", d.cooling_growth_per_k),
+                ("surface_deficit", d.surface_deficit),
+                ("arrival_ripple_k", d.arrival_ripple_k),
+                ("ripple_part", d.ripple_part),
+            ],
+        )?;
+        no_less_than(
+            f64::MIN,
+            &[("display_error_k", self.display_error_k), ("display_error_per_k", self.display_error_per_k)],
+        )?;
+        self.faults.iter().try_for_each(|fault| match fault {
+            PlateFault::NeverSettles { from_s, amplitude_k, period_s } => {
+                no_less_than(0.0, &[("from_s", *from_s), ("amplitude_k", *amplitude_k)])?;
+                no_less_than(lag_s, &[("period_s", *period_s)])
+            }
+            PlateFault::FrozenReading { from_s } => no_less_than(0.0, &[("from_s", *from_s)]),
+            PlateFault::NanReading { from_s, until_s } => {
+                no_less_than(0.0, &[("from_s", *from_s), ("until_s", *until_s)])
+            }
+            PlateFault::CutoutTrips { at_s } => no_less_than(0.0, &[("at_s", *at_s)]),
+            PlateFault::SlowHeating { from_s, factor } => {
+                no_less_than(0.0, &[("from_s", *from_s), ("factor", *factor)])
+            }
+        })
+    }
+
     /// A 4181 without calibration error or faults, in a room of this temperature. The display's noise of 5 mK is
     /// our choice: the maker gives none.
     pub fn fluke_4181(ambient_k: f64) -> Self {
@@ -709,5 +761,11 @@ mod tests {
         assert!(toml::from_str::<PlateModel>(&format!("{text}colour = 1\n")).is_err());
         assert!(toml::from_str::<PlateModel>(&format!("{text}{fault}until_s = 3.0\n")).is_err());
         assert!(toml::from_str::<PlateModel>("ambient_k = 296.0\n").is_err());
+        assert_eq!(model.check(), Ok(()));
+        let mut impossible = model.clone();
+        impossible.dynamics.surface_lag_s = 0.0;
+        assert!(impossible.check().unwrap_err().starts_with("surface_lag_s"));
+        let impossible = PlateModel { display_error_k: f64::NAN, ..model };
+        assert!(impossible.check().unwrap_err().starts_with("display_error_k"));
     }
 }

@@ -4,7 +4,7 @@
 //! not tick through idle pulses: it computes the next one with an active output and sleeps until then, so that a
 //! pause of a campaign costs nothing. Widths and delays are numbers in a [`Pulse`], never sleeps.
 
-use crate::rig::line::{Line, LineFault, Unsent};
+use crate::rig::line::{Line, LineFault, Unsent, check_seconds};
 use ditd_drivers::instrument::Identity;
 use ditd_drivers::quantum_9520::{
     Act, CAMERA_CHANNEL, Command, INJECTOR_CHANNEL, Key, Kind, Reply, UnitError, Value, belongs_to, kind,
@@ -100,6 +100,20 @@ impl QuantumBehaviour {
         }
     }
 
+    /// Whether the behaviour can be played.
+    ///
+    /// # Errors
+    /// Names the key whose value is impossible.
+    pub fn check(&self) -> Result<(), String> {
+        check_seconds("command_s", self.command_s)?;
+        check_seconds("boot_s", self.boot_s)?;
+        self.line_faults.iter().try_for_each(LineFault::check)?;
+        self.faults.iter().try_for_each(|fault| match fault {
+            TriggerFault::DropsAllPulses { from_s } => check_seconds("from_s", *from_s),
+            _ => Ok(()),
+        })
+    }
+
     /// Manual, chapter 7: about 10 ms a command. The driver leaves 10 ms after each answer besides.
     fn command_s() -> f64 {
         0.010
@@ -113,13 +127,14 @@ impl QuantumBehaviour {
 /// both have ended.
 ///
 /// # Panics
-/// When a time of the behaviour is negative.
+/// When the behaviour fails its check.
 pub async fn serve(
     stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
     pulses: mpsc::Sender<Pulse>,
     behaviour: QuantumBehaviour,
     start: Instant,
 ) {
+    assert_eq!(behaviour.check(), Ok(()), "the behaviour was checked where it was read");
     let command_time = Duration::from_secs_f64(behaviour.command_s);
     // Commands sent too fast "may cause the unit to not respond properly": the earlier answer is lost.
     let mut line = Line::new(stream, behaviour.line_faults.clone(), Unsent::Lost, start);
@@ -723,7 +738,7 @@ fn delivered() -> Memory {
         ];
         memory.extend(settings.map(|(key, value)| ((channel, key), value)));
     }
-    debug_assert!(memory.keys().all(|(_, key)| kind(*key) != Kind::Act), "acts are not remembered");
+    assert!(memory.keys().all(|(_, key)| kind(*key) != Kind::Act), "acts are not remembered");
     memory
 }
 
@@ -1007,6 +1022,7 @@ mod tests {
             ("counts", ShotProgram { cycles: 0, ..program() }),
             ("counts", ShotProgram { cycles: u32::MAX, cycle_periods: u32::MAX, ..program() }),
             ("5000 s", ShotProgram { period_ns: 10, ..program() }),
+            ("a year", ShotProgram { period_ns: 5_000_000_000_000, cycles: 10_000, ..program() }),
             ("camera pulse", ShotProgram { camera_delay_ns: 19_990_000, ..program() }),
             ("camera pulse", ShotProgram { camera_delay_ns: u64::MAX, ..program() }),
             ("injector pulse", ShotProgram { injector_delay_ns: 19_000_000, ..program() }),
@@ -1015,6 +1031,11 @@ mod tests {
             assert!(matches!(error, DriverError::Limit { .. }), "{error}");
             assert!(error.to_string().contains(words), "{error}");
         }
+        let (near, _far) = duplex(256);
+        let no_number = TriggerLimits { injection_interval_min_s: f64::NAN, ..limits() };
+        let mut unlimited = Quantum9520::new(Wire::over(near, "trigger unit"), no_number);
+        let error = unlimited.program(&program()).await.unwrap_err();
+        assert!(matches!(error, DriverError::Limit { .. }), "{error}");
         // Nobody answers on this line: a program that passed the limits would be silent.
         let error = unit.program(&program()).await.unwrap_err();
         assert!(matches!(error, DriverError::Silent { .. }), "{error}");
@@ -1197,5 +1218,7 @@ mod tests {
         assert_eq!(behaviour.line_faults, [LineFault::Silent { from_s: 9.0 }]);
         assert_eq!(toml::from_str::<QuantumBehaviour>("").unwrap(), QuantumBehaviour::delivered());
         assert!(toml::from_str::<QuantumBehaviour>("colour = 1\n").is_err());
+        let impossible: QuantumBehaviour = toml::from_str("boot_s = nan\n").unwrap();
+        assert!(impossible.check().unwrap_err().starts_with("boot_s"));
     }
 }
