@@ -4,6 +4,7 @@
 //! not tick through idle pulses: it computes the next one with an active output and sleeps until then, so that a
 //! pause of a campaign costs nothing. Widths and delays are numbers in a [`Pulse`], never sleeps.
 
+use crate::rig::pulse::Pulse;
 use crate::rig::line::{Line, LineFault, Unsent, check_seconds};
 use ditd_drivers::instrument::Identity;
 use ditd_drivers::quantum_9520::{
@@ -25,19 +26,6 @@ const CHANNELS: u32 = 8;
 const STRETCHES_MAX: usize = 64;
 
 const PS_PER_NS: i64 = 1000;
-
-/// One pulse of the clock in which the camera or the injector is triggered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Pulse {
-    /// Number of the clock pulse within its run, from 0.
-    pub t0_index: u64,
-    /// Time of the clock pulse in nanoseconds of the rig's clock, exact from the start of the run.
-    pub at_ns: u64,
-    /// Start after the clock pulse, and width, of the camera's trigger, in nanoseconds.
-    pub camera: Option<(u64, u64)>,
-    /// Start after the clock pulse, and width, of the injector's pulse, in nanoseconds.
-    pub injector: Option<(u64, u64)>,
-}
 
 /// What a trigger unit does wrong, besides its line.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
