@@ -174,12 +174,10 @@ pub struct DetectorConfig {
     /// Edge of a pixel, in metres. Default 15e-6 (assumed camera).
     #[serde(default = "pixel_pitch_m")]
     pub pixel_pitch_m: f64,
-    /// Electrons per photon. Default 0.75 (assumed camera).
-    #[serde(default = "quantum_efficiency")]
-    pub quantum_efficiency: f64,
-    /// Transmittance of the lens. Default 0.90 (assumed camera).
-    #[serde(default = "lens_transmittance")]
-    pub lens_transmittance: f64,
+    /// Factor on the band's response (electrons per photon at the lens). Default 1: the response holds filter, lens and
+    /// quantum efficiency. For a response file of the filter alone: 0.675 (assumed camera: 0.75 · 0.90).
+    #[serde(default = "response_factor")]
+    pub response_factor: f64,
     /// Electrons per count. Default 427 (assumed camera: 7e6 electrons over 14 bits).
     #[serde(default = "electrons_per_count")]
     pub electrons_per_count: f64,
@@ -375,8 +373,7 @@ impl DetectorConfig {
         Self {
             f_number: f_number(),
             pixel_pitch_m: pixel_pitch_m(),
-            quantum_efficiency: quantum_efficiency(),
-            lens_transmittance: lens_transmittance(),
+            response_factor: response_factor(),
             electrons_per_count: electrons_per_count(),
             read_noise_electrons: read_noise_electrons(),
             offset_counts: offset_counts(),
@@ -401,8 +398,7 @@ impl DetectorConfig {
     pub fn validate(&self) -> Result<(), RigError> {
         positive("detector.f_number", self.f_number)?;
         positive("detector.pixel_pitch_m", self.pixel_pitch_m)?;
-        fraction("detector.quantum_efficiency", self.quantum_efficiency)?;
-        fraction("detector.lens_transmittance", self.lens_transmittance)?;
+        positive("detector.response_factor", self.response_factor)?;
         positive("detector.electrons_per_count", self.electrons_per_count)?;
         not_negative("detector.read_noise_electrons", self.read_noise_electrons)?;
         not_negative("detector.offset_counts", self.offset_counts)?;
@@ -464,11 +460,8 @@ fn f_number() -> f64 {
 fn pixel_pitch_m() -> f64 {
     15e-6
 }
-fn quantum_efficiency() -> f64 {
-    0.75
-}
-fn lens_transmittance() -> f64 {
-    0.90
+fn response_factor() -> f64 {
+    1.0
 }
 fn electrons_per_count() -> f64 {
     427.0
@@ -534,7 +527,8 @@ mod tests {
         correlation = -0.4
         correlation_length_px = 40.0
         [filter]
-        name = "paper-3.4"
+        name = "filter_3.40_fwhm0.12"
+        detector = "QE_InSb_model"
         samples = 16
         [[fault]]
         kind = "lose-frame"

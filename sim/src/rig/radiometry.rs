@@ -5,14 +5,23 @@
 
 use super::RigError;
 use super::config::DetectorConfig;
+use crate::light::band::Band;
+use crate::light::planck::{d_photon_radiance_dt, photon_radiance};
+use crate::light::window;
 
 /// Spectral samples of a band: signal = Σ weight · photon radiance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spectrum {
     /// Wavelength of each group, in µm.
     pub wavelengths_um: Vec<f64>,
-    /// Filter response times width of each group, in µm. Lens and quantum efficiency are the detector's.
+    /// Response (filter, lens, quantum efficiency) times width of each group, in µm.
     pub weights: Vec<f64>,
+}
+
+impl From<&Band> for Spectrum {
+    fn from(band: &Band) -> Self {
+        Self { wavelengths_um: band.wavelengths_um.clone(), weights: band.weights.clone() }
+    }
 }
 
 /// One window at the wavelengths of the band. Transmittance + reflectance + absorptance = 1 in every group.
@@ -66,16 +75,29 @@ pub struct PlateSurfaceSpectrum {
     pub lab_temperature_k: f64,
 }
 
-/// Photon radiance of a black body in photons s⁻¹ m⁻² sr⁻¹ µm⁻¹ at `wavelength_um` in vacuum.
-///
-/// L = 2c/λ⁴ / (exp(hc/(λkT)) − 1) with the exact SI values of 2019.
-fn photon_radiance(wavelength_um: f64, temperature_k: f64) -> f64 {
-    const SPEED_OF_LIGHT: f64 = 299_792_458.0;
-    /// hc/k in µm K: 6.62607015e-34 · 299792458 / 1.380649e-23 · 1e6.
-    const SECOND_RADIATION_UM_K: f64 = 14_387.768_775_039_337;
-    let exponent = SECOND_RADIATION_UM_K / (wavelength_um * temperature_k);
-    // 2c/λ⁴ per metre, times 1e-6 m per µm, with λ in µm: 1e24 · 1e-6.
-    2e18 * SPEED_OF_LIGHT / wavelength_um.powi(4) / libm::expm1(exponent)
+impl WindowSpectrum {
+    /// A window at the wavelengths of a band.
+    pub fn of(window: &window::Plate, band: &Band, temperature_k: f64) -> Self {
+        let optics = || band.wavelengths_um.iter().map(|&um| window.optics(um, temperature_k));
+        Self {
+            transmittance: optics().map(|o| o.transmittance).collect(),
+            reflectance: optics().map(|o| o.reflectance).collect(),
+            absorptance: optics().map(|o| o.absorptance).collect(),
+            temperature_k,
+        }
+    }
+
+    /// An opening: all light passes.
+    pub fn opening(band: &Band) -> Self {
+        let groups = band.len();
+        Self {
+            transmittance: vec![1.0; groups],
+            reflectance: vec![0.0; groups],
+            absorptance: vec![0.0; groups],
+            // Nothing of it is seen; any temperature will do.
+            temperature_k: 300.0,
+        }
+    }
 }
 
 impl Optics {
@@ -112,11 +134,8 @@ impl Optics {
         same("emissivities of the plate", plate.emissivity.len(), groups)?;
         // Camera equation for a distant object: projected solid angle π / (4N² + 1).
         let solid_angle = std::f64::consts::PI / (4.0 * detector.f_number * detector.f_number + 1.0);
-        let throughput = solid_angle
-            * detector.pixel_pitch_m
-            * detector.pixel_pitch_m
-            * detector.quantum_efficiency
-            * detector.lens_transmittance;
+        let throughput =
+            solid_angle * detector.pixel_pitch_m * detector.pixel_pitch_m * detector.response_factor;
         Ok(Self {
             sensitivity: spectrum.weights.iter().map(|w| w * throughput).collect(),
             spectrum,
@@ -203,12 +222,8 @@ impl Optics {
 
     /// Radiances of group `g` inside the chamber for a plate at `plate_k`.
     pub(super) fn sources(&self, g: usize, plate_k: f64) -> Sources {
-        let slope_of = |gamma: f64| {
-            // Central difference: third-order term (h²/6)(L‴/L′) below 1e-8 relative for h = 0.01 K.
-            let step = 0.01;
-            gamma * self.plate_emissivity[g] * (self.black(g, plate_k + step) - self.black(g, plate_k - step))
-                / (2.0 * step)
-        };
+        let um = self.spectrum.wavelengths_um[g];
+        let slope_of = |gamma: f64| gamma * self.plate_emissivity[g] * d_photon_radiance_dt(um, plate_k);
         let Some(e) = &self.enclosure else {
             return Sources {
                 far: self.plate(g, plate_k),

@@ -4,6 +4,7 @@ use super::chamber::{World, WorldParts};
 use super::config::{DetectorConfig, FluctuationConfig};
 use super::radiometry::{Enclosure, Optics, PlateSurfaceSpectrum, Spectrum, WindowSpectrum};
 use super::sights::{ScaleNode, Sights};
+use crate::light::band::Band;
 use crate::tracer::operator::Operator;
 
 pub(crate) const ROWS: usize = 12;
@@ -51,8 +52,13 @@ impl Choices {
     }
 }
 
-pub(crate) fn spectrum() -> Spectrum {
-    Spectrum { wavelengths_um: vec![3.36, 3.39, 3.42, 3.45], weights: vec![0.018, 0.024, 0.024, 0.018] }
+pub(crate) fn band() -> Band {
+    Band {
+        wavelengths_um: vec![3.36, 3.39, 3.42, 3.45],
+        // A filter of 0.12 µm with peak 0.8, lens and quantum efficiency of the assumed camera.
+        weights: [0.018, 0.024, 0.024, 0.018].map(|w| w * 0.675).to_vec(),
+        leak_from: None,
+    }
 }
 
 fn window(temperature_k: f64) -> WindowSpectrum {
@@ -74,7 +80,7 @@ pub(crate) fn optics(choices: &Choices) -> Optics {
         wall_emissivity: choices.wall_emissivity,
         window_fraction: 0.05,
     };
-    Optics::chamber(spectrum(), plate, enclosure, &DetectorConfig::assumed()).unwrap()
+    Optics::chamber(Spectrum::from(&band()), plate, enclosure, &DetectorConfig::assumed()).unwrap()
 }
 
 /// A layer whose optical depth grows from 0.05 at the left to 4 at the right; the last column sees no plate,
@@ -136,7 +142,7 @@ pub(crate) fn bench(rows: usize, columns: usize) -> World {
     let detector = DetectorConfig { shutter_temperature_k: Some(300.0), ..DetectorConfig::assumed() };
     let plate = PlateSurfaceSpectrum { emissivity: vec![0.959; GROUPS], lab_temperature_k: 296.0 };
     World::new(WorldParts {
-        optics: Optics::bench(spectrum(), plate, &detector).unwrap(),
+        optics: Optics::bench(Spectrum::from(&band()), plate, &detector).unwrap(),
         sights: Sights::empty(rows, columns, vec![1.0; rows * columns]).unwrap(),
         detector,
         fluctuation: None,
