@@ -8,9 +8,9 @@
 use super::chamber::{Moment, ResidualVapour, Target, World};
 use super::config::Fault;
 use super::detector::Exposure;
+use super::level::Illumination;
 use super::noise::{Purpose, Stream};
 use super::pulse::Pulse;
-use super::sights::Illumination;
 use async_trait::async_trait;
 use ditd_drivers::error::DriverError;
 use ditd_drivers::instrument::{Camera, CameraSettings, Frame, Identity};

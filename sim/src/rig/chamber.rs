@@ -7,8 +7,9 @@ use super::RigError;
 use super::config::{DetectorConfig, FluctuationConfig, ResidualConfig};
 use super::detector::{Detector, Exposure};
 use super::fluctuation::ShotLaw;
+use super::level::{Illumination, Level, level_reference_k};
 use super::radiometry::Optics;
-use super::sights::{Illumination, Level, Sights, level_reference_k};
+use super::sights::Sights;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -83,7 +84,7 @@ impl World {
             }
         }
         // Provokes the check of groups once, so that later levels cannot fail.
-        sights.level(&optics, 300.0)?;
+        Level::near(&sights, &optics, 300.0)?;
         Ok(Self {
             detector: Detector::new(detector, seed, sights.rows(), sights.columns())?,
             law: fluctuation.map(|law| ShotLaw::new(law, seed, sights.columns())),
@@ -158,7 +159,7 @@ impl World {
         if let Some(level) = kept.iter().flatten().find(fits).map(Arc::clone) {
             return level;
         }
-        let level = self.sights.level(&self.optics, plate_k);
+        let level = Level::near(&self.sights, &self.optics, plate_k);
         let level = Arc::new(level.expect("groups were checked when the world was built"));
         kept.swap(0, 1);
         kept[0] = Some(Arc::clone(&level));

@@ -530,6 +530,11 @@ mod tests {
         name = "filter_3.40_fwhm0.12"
         detector = "QE_InSb_model"
         samples = 16
+        [plate]
+        ambient_k = 296.0
+        display_error_k = 0.3
+        display_error_per_k = 0.001
+        display_noise_k = 0.02
         [[fault]]
         kind = "lose-frame"
         frame = 12

@@ -178,10 +178,16 @@ impl Optics {
         self.sum(|g| self.plate(g, plate_k)) * integration_s / self.electrons_per_count
     }
 
-    /// What the far window adds to the plate's light, in counts before the near window: its own emission and
-    /// the walls that it mirrors (E_f). Zero on a bench.
+    /// What reaches the medium from the plate's side besides the plate's own emission, in counts before the near
+    /// window: E_f (the far window's own emission and the walls that it mirrors) and, through the far window, the
+    /// laboratory that the plate mirrors. With it I_cal(T_eff) = ε_B·(S + this) holds exactly for a gray band.
+    /// On a bench only the mirrored laboratory is left.
     pub fn far_window_counts(&self, integration_s: f64) -> f64 {
-        self.sum(|g| self.far_addition(g)) * integration_s / self.electrons_per_count
+        let mirrored = |g: usize| {
+            let through = self.enclosure.as_ref().map_or(1.0, |e| e.far.transmittance[g]);
+            through * (1.0 - self.plate_emissivity[g]) * self.black(g, self.lab_temperature_k)
+        };
+        self.sum(|g| self.far_addition(g) + mirrored(g)) * integration_s / self.electrons_per_count
     }
 
     /// Transmittances (far, near) of the windows for black-body light of `temperature_k`; ones on a bench.

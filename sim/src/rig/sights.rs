@@ -1,29 +1,19 @@
-//! From rendered coefficient images to the electrons that each pixel expects.
-//!
-//! All spectral groups are summed once per plate temperature; after that a pixel of a shot costs a handful of
-//! multiply-adds. Knows nothing of noise, time or triggers.
+//! The rendered sights of one scene at several densities, joined to coefficients for any density.
 //!
 //! Between the rendered density scales a pixel's images are interpolated linearly in v = 1 − exp(−τ·m), with m
 //! the factor on the optical depth and τ the pixel's own optical depth at m = 1; the knots are m = 0 (no medium),
 //! the rendered scales, and m = ∞ (extrapolated, then limited to legal coefficients). Every shot is therefore a
 //! mean of legal coefficient sets: all stay in [0, 1], they change monotonically between knots, closure and the
-//! isothermal enclosure hold exactly, and a gray absorbing medium is
-//! reproduced to 8e-4 of its opacity or better. This rule is part of the
-//! declared law of fluctuations.
+//! isothermal enclosure hold exactly, and a gray absorbing medium is reproduced to 8e-4 of its opacity or better.
+//! This rule is part of the declared law of fluctuations. Knows no band, plate or wall temperature.
 
 use super::RigError;
-use super::fluctuation::Shot;
-use super::radiometry::{Optics, Sources, same};
+use super::radiometry::same;
 use crate::tracer::operator::Operator;
-use rayon::prelude::*;
 use std::ops::Range;
 
 /// Knots of the density interpolation at most: the rendered scales, empty and opaque.
 pub const KNOTS_MAX: usize = 10;
-
-/// Plate temperatures are expanded around multiples of this: the second-order term left out is below 2e-5 of the
-/// plate's light (n²/2·(0.125/373)² with n = 12.1, the steepest exponent of the filtered band).
-const LEVEL_GRID_K: f64 = 0.25;
 
 /// Optical depths of the interpolation variable: equal steps of the logarithm between the limits. Any depth would
 /// be legal; beyond the limits knots would coincide in f32. Rounding to a step (0.08 % at most) makes pixels share
@@ -196,7 +186,23 @@ impl Sights {
     /// How far the opaque knot lies beyond the last rendered one, in units of the last step between knots.
     fn reach(&self, i: usize) -> f64 {
         let (v, n) = (self.knots(i), self.nodes.len());
-        f64::from((1.0 - v[n]) / (v[n] - v[n - 1]))
+        let step = v[n] - v[n - 1];
+        if step > 0.0 { f64::from((1.0 - v[n]) / step) } else { 0.0 }
+    }
+
+    /// Number of spectral groups of the operators; 0 without a medium.
+    pub(super) fn groups(&self) -> usize {
+        self.groups
+    }
+
+    /// Part of each pixel that sees the plate when the medium is absent, `[row, column]`.
+    pub(super) fn seen(&self) -> &[f32] {
+        &self.plate_seen
+    }
+
+    /// Ordinals of the active pixels of one row.
+    pub(super) fn active(&self, row: usize) -> Range<usize> {
+        self.row_start[row]..self.row_start[row + 1]
     }
 
     pub(super) fn knot_count(&self) -> usize {
@@ -246,45 +252,6 @@ impl Sights {
         std::iter::once(0.0).chain(self.nodes.iter().map(at)).chain(std::iter::once(1.0)).collect()
     }
 
-    /// The images of the band for a plate near `plate_k` (exactly: at the multiple of 0.25 K next to it, with
-    /// slopes), all groups summed.
-    ///
-    /// # Errors
-    /// [`RigError::Shape`] when the operators have other groups than the band.
-    pub fn level(&self, optics: &Optics, plate_k: f64) -> Result<Level, RigError> {
-        self.level_at(optics, level_reference_k(plate_k))
-    }
-
-    /// The images of the band expanded around exactly `reference_k`.
-    ///
-    /// # Errors
-    /// [`RigError::Shape`] when the operators have other groups than the band.
-    pub fn level_at(&self, optics: &Optics, reference_k: f64) -> Result<Level, RigError> {
-        if !self.nodes.is_empty() {
-            same("spectral groups of the operators", self.groups, optics.groups())?;
-        }
-        let sources: Vec<Sources> = (0..optics.groups()).map(|g| optics.sources(g, reference_k)).collect();
-        let n = self.knot_count();
-        let values = (0..self.pixels.len())
-            .into_par_iter()
-            .with_min_len(1024)
-            .flat_map_iter(|i| self.pixel_images(i, &sources).into_iter().take(n))
-            .collect();
-        Ok(Level { reference_k, blank: BlankLight::of(&sources), values, knots: n })
-    }
-
-    fn pixel_images(&self, i: usize, sources: &[Sources]) -> [Images; KNOTS_MAX] {
-        let mut sums = [[0.0_f64; IMAGES]; KNOTS_MAX];
-        for (g, source) in sources.iter().enumerate() {
-            let coefficients = self.coefficients(i, g);
-            for (sum, c) in sums.iter_mut().zip(&coefficients[..self.knot_count()]) {
-                c.add_to(sum, f64::from(self.plate_seen(i)), source);
-            }
-        }
-        #[expect(clippy::cast_possible_truncation, reason = "images are f32: 6e-8 of a few 1e5 electrons")]
-        sums.map(|sum| sum.map(|x| x as f32))
-    }
-
     /// Coefficients of active pixel `i` in group `g` at all knots.
     pub(super) fn coefficients(&self, i: usize, g: usize) -> [Coefficients; KNOTS_MAX] {
         let mut all =
@@ -296,11 +263,6 @@ impl Sights {
         all[n + 1] = Coefficients::beyond(&all[n - 1], &all[n], self.reach(i));
         all
     }
-}
-
-/// The temperature at which the images for a plate at `plate_k` are made: it does not depend on history.
-pub fn level_reference_k(plate_k: f64) -> f64 {
-    (plate_k / LEVEL_GRID_K).round() * LEVEL_GRID_K
 }
 
 /// Emission along the straight sight of one pixel, group and knot, in powers of the temperature shift.
@@ -338,8 +300,10 @@ impl Emission {
 /// Coefficients of one pixel, group and knot.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Coefficients {
-    plate: f64,
-    medium: Emission,
+    /// Of the plate.
+    pub(super) plate: f64,
+    /// Of the medium, with in-scattering.
+    pub(super) medium: Emission,
 }
 
 impl Coefficients {
@@ -359,219 +323,15 @@ impl Coefficients {
         let weight = on(before.medium.weight, last.medium.weight).clamp(0.0, 1.0 - plate);
         Self { plate, medium: last.medium.scaled_to(weight) }
     }
-
-    /// The plate's coefficient.
-    pub(super) fn plate(&self) -> f64 {
-        self.plate
-    }
-
-    fn add_to(&self, sum: &mut [f64; IMAGES], seen: f64, s: &Sources) {
-        let Emission { weight, calm, shift, shift_squared } = self.medium;
-        let dimmed = self.plate - seen;
-        let q = s.inside;
-        // Against the blank: plate light that is lost, wall light that comes (closure), the medium's own light.
-        sum[DIFFERENCE] += q * (dimmed * (s.far - s.walls) - weight * s.walls + calm);
-        sum[PLATE_SLOPE] += q * s.far_slope * (dimmed * (1.0 - s.walls_per_far) - weight * s.walls_per_far);
-        sum[SHIFT] += q * shift;
-        sum[SHIFT_SQUARED] += q * shift_squared;
-        sum[VAPOUR] += q * self.plate * (s.gas - s.far);
-        sum[VAPOUR_SLOPE] -= q * self.plate * s.far_slope;
-    }
-}
-
-/// Images per knot.
-pub(super) const IMAGES: usize = 6;
-/// Spray minus blank at the reference temperature, in electrons per second.
-pub(super) const DIFFERENCE: usize = 0;
-/// Its derivative by the plate's temperature.
-pub(super) const PLATE_SLOPE: usize = 1;
-/// Its change per kelvin of the medium's temperature shift.
-pub(super) const SHIFT: usize = 2;
-/// Its change per squared kelvin of the shift.
-pub(super) const SHIFT_SQUARED: usize = 3;
-/// Light that an opaque layer of gas in front of the plate would add to the spray image.
-const VAPOUR: usize = 4;
-/// Its derivative by the plate's temperature.
-const VAPOUR_SLOPE: usize = 5;
-
-pub(super) type Images = [f32; IMAGES];
-
-/// Light without a medium, in electrons per second: parts for pixels that do not, or do, see the plate.
-#[derive(Debug, Clone, Copy, Default)]
-struct BlankLight {
-    walls: f64,
-    walls_slope: f64,
-    plate: f64,
-    plate_slope: f64,
-    vapour: f64,
-    vapour_slope: f64,
-}
-
-impl BlankLight {
-    fn of(sources: &[Sources]) -> Self {
-        let mut light = Self::default();
-        for s in sources {
-            light.walls += s.inside * s.walls + s.outside * s.camera_side;
-            light.walls_slope += s.inside * s.walls_per_far * s.far_slope;
-            light.plate += s.inside * (s.far - s.walls);
-            light.plate_slope += s.inside * (1.0 - s.walls_per_far) * s.far_slope;
-            light.vapour += s.inside * (s.gas - s.far);
-            light.vapour_slope -= s.inside * s.far_slope;
-        }
-        light
-    }
-}
-
-/// All images of the band for one plate temperature.
-#[derive(Debug, Clone)]
-pub struct Level {
-    reference_k: f64,
-    blank: BlankLight,
-    /// `[active pixel][knot]`.
-    values: Vec<Images>,
-    knots: usize,
-}
-
-/// What changes from frame to frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Illumination {
-    /// True temperature of the plate's surface, in kelvin.
-    pub plate_k: f64,
-    /// Integration time, in seconds.
-    pub integration_s: f64,
-    /// Optical depth of left-over vapour between plate and spray, where the spray is opaque.
-    pub vapour_depth: f64,
-}
-
-impl Level {
-    /// The temperature around which the images were made, in kelvin.
-    pub fn reference_k(&self) -> f64 {
-        self.reference_k
-    }
-
-    /// Images of active pixel `i` at its knots.
-    pub(super) fn images(&self, i: usize) -> &[Images] {
-        &self.values[i * self.knots..(i + 1) * self.knots]
-    }
-
-    /// Electrons per second of a pixel that sees the plate with the part `seen` of its area, without medium.
-    pub fn blank_electrons_per_s(&self, seen: f64, plate_k: f64) -> f64 {
-        let step = plate_k - self.reference_k;
-        let b = &self.blank;
-        b.walls + step * b.walls_slope + seen * (b.plate + step * b.plate_slope)
-    }
-
-    /// Expected electrons of a frame without spray, `[row, column]`.
-    ///
-    /// # Panics
-    /// When `electrons` is not one number per pixel of `sights`.
-    pub fn expect_blank(&self, sights: &Sights, light: Illumination, electrons: &mut [f32]) {
-        let (layer, slope) = (self.blank.vapour, self.blank.vapour_slope);
-        let through_layer = single(layer + (light.plate_k - self.reference_k) * slope);
-        self.expect_rows(sights, light, electrons, |_, active, row_start, out| {
-            if light.vapour_depth <= 0.0 {
-                return;
-            }
-            for i in active {
-                let change = sights.plate_seen(i) * vapour_layer(light, sights.depth[i]) * through_layer;
-                out[sights.pixels[i] as usize - row_start] += change * single(light.integration_s);
-            }
-        });
-    }
-
-    /// Expected electrons of a frame with the spray of `shot` (`None`: the spray as rendered), `[row, column]`.
-    ///
-    /// # Panics
-    /// When `electrons` is not one number per pixel of `sights`.
-    pub fn expect_spray(
-        &self,
-        sights: &Sights,
-        light: Illumination,
-        shot: Option<&Shot<'_>>,
-        electrons: &mut [f32],
-    ) {
-        let step = single(light.plate_k - self.reference_k);
-        self.expect_rows(sights, light, electrons, |row, active, row_start, out| {
-            let fields = RowFields::of(shot, row, sights.columns);
-            for i in active {
-                let column = sights.pixels[i] as usize - row_start;
-                let (factor, shift) = fields.at(column);
-                let v = -libm::expm1f(-sights.depth[i] * factor);
-                let blended = blend(sights.knots(i), self.images(i), v);
-                let [difference, slope, one, two, layer, layer_slope] = blended;
-                let mut change = difference + step * slope + shift * (one + shift * two);
-                if light.vapour_depth > 0.0 {
-                    change += vapour_layer(light, sights.depth[i]) * (layer + step * layer_slope);
-                }
-                out[column] += change * single(light.integration_s);
-            }
-        });
-    }
-
-    /// Fills blank light into every pixel, then lets `add` change each row: (row, its active pixels, linear index
-    /// of its first pixel, its electrons).
-    fn expect_rows(
-        &self,
-        sights: &Sights,
-        light: Illumination,
-        electrons: &mut [f32],
-        add: impl Fn(usize, Range<usize>, usize, &mut [f32]) + Sync,
-    ) {
-        assert_eq!(electrons.len(), sights.plate_seen.len(), "one number per pixel");
-        let walls = single(light.integration_s * self.blank_electrons_per_s(0.0, light.plate_k));
-        let full = single(light.integration_s * self.blank_electrons_per_s(1.0, light.plate_k));
-        let columns = sights.columns;
-        electrons.par_chunks_mut(columns).enumerate().for_each(|(row, out)| {
-            let start = row * columns;
-            for (electron, seen) in out.iter_mut().zip(&sights.plate_seen[start..start + columns]) {
-                *electron = walls + seen * (full - walls);
-            }
-            add(row, sights.row_start[row]..sights.row_start[row + 1], start, out);
-        });
-    }
-}
-
-/// The fields of a shot along one row.
-struct RowFields {
-    ln_tau: Vec<f32>,
-    shift_k: Vec<f32>,
-}
-
-impl RowFields {
-    fn of(shot: Option<&Shot<'_>>, row: usize, columns: usize) -> Self {
-        let length = if shot.is_some() { columns } else { 0 };
-        let mut fields = Self { ln_tau: vec![0.0; length], shift_k: vec![0.0; length] };
-        if let Some(shot) = shot {
-            shot.row(row, 0, &mut fields.ln_tau, &mut fields.shift_k);
-        }
-        fields
-    }
-
-    /// Factor on the optical depth and temperature shift in kelvin at `column`; (1, 0) without a shot.
-    fn at(&self, column: usize) -> (f32, f32) {
-        match (self.ln_tau.get(column), self.shift_k.get(column)) {
-            (Some(&ln_tau), Some(&shift)) => (libm::expf(ln_tau), shift),
-            _ => (1.0, 0.0),
-        }
-    }
-}
-
-/// Images at `v`, linear between the knots on both sides.
-fn blend(knots: &[f32], images: &[Images], v: f32) -> Images {
-    let (k, part) = place(knots, v);
-    std::array::from_fn(|image| images[k][image] + part * (images[k + 1][image] - images[k][image]))
 }
 
 /// The knot at or below `v` and the part of the way to the next one.
 pub(super) fn place(knots: &[f32], v: f32) -> (usize, f32) {
     let inner = &knots[1..knots.len() - 1];
     let k = inner.iter().filter(|&&knot| knot <= v).count();
-    (k, ((v - knots[k]) / (knots[k + 1] - knots[k])).clamp(0.0, 1.0))
-}
-
-/// Opacity of the left-over vapour where the spray has the optical depth `depth`: 1 − exp(−A·(1 − exp(−τ))).
-fn vapour_layer(light: Illumination, depth: f32) -> f32 {
-    -libm::expm1f(single(light.vapour_depth) * libm::expm1f(-depth))
+    let step = knots[k + 1] - knots[k];
+    // Knots of great depths coincide in f32: then the next one is as good.
+    (k, if step > 0.0 { ((v - knots[k]) / step).clamp(0.0, 1.0) } else { 1.0 })
 }
 
 fn check_operator(op: &Operator, first: &Operator) -> Result<(), RigError> {
@@ -597,4 +357,78 @@ fn check_operator(op: &Operator, first: &Operator) -> Result<(), RigError> {
 #[expect(clippy::cast_possible_truncation, reason = "images are f32")]
 fn single(value: f64) -> f32 {
     value as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::sample::{self, Choices};
+
+    fn nodes() -> Vec<ScaleNode> {
+        let node = |scale| ScaleNode { scale, operator: sample::operator(&Choices::usual(), scale) };
+        [0.7, 1.0, 1.4].map(node).to_vec()
+    }
+
+    /// Noisy coefficients included, every knot holds coefficients that a medium could have.
+    #[test]
+    fn coefficients_are_legal_at_all_knots() {
+        let mut noisy = nodes();
+        for (k, node) in noisy.iter_mut().enumerate() {
+            for (i, a) in node.operator.a_plate.iter_mut().enumerate() {
+                let wiggle = if (i * 7 + k * 3) % 5 < 2 { 0.97 } else { 1.03 };
+                *a = (*a * wiggle).min(1.0);
+            }
+        }
+        for sights in [Sights::new(nodes(), 8.0).unwrap(), Sights::new(noisy, 8.0).unwrap()] {
+            for i in 0..sights.pixels().len() {
+                for g in 0..sights.groups() {
+                    for c in &sights.coefficients(i, g)[..sights.knot_count()] {
+                        let walls = 1.0 - c.plate - c.medium.weight;
+                        // The middle knots are as rendered: f32 noise of 3 % may take walls below zero there.
+                        assert!((0.0..=1.0).contains(&c.plate) && walls > -0.031, "{i} {g} {c:?}");
+                        assert!((0.0..=1.0).contains(&c.medium.weight));
+                    }
+                    let opaque = sights.coefficients(i, g)[sights.knot_count() - 1];
+                    assert!(opaque.plate + opaque.medium.weight <= 1.0 + 1e-12);
+                }
+            }
+        }
+    }
+
+    /// At a rendered scale the place is its knot; in between and beyond it is a part from 0 to 1, also where
+    /// knots coincide.
+    #[test]
+    fn every_value_has_a_place() {
+        let sights = Sights::new(nodes(), 8.0).unwrap();
+        for i in 0..sights.pixels().len() {
+            let knots = sights.knots(i);
+            for (k, &knot) in knots[..4].iter().enumerate() {
+                let (found, part) = place(knots, knot);
+                assert!(found == k && part < 1e-6, "{knots:?} {k}: {found} {part}");
+            }
+            let (found, part) = place(knots, 1.0);
+            assert!(found == 3 && part >= 1.0);
+        }
+        let degenerate = [0.0, 0.5, 1.0, 1.0, 1.0];
+        for v in [0.0, 0.3, 0.7, 1.0] {
+            let (k, part) = place(&degenerate, v);
+            assert!(k < 4 && (0.0..=1.0).contains(&part), "{v}: {k} {part}");
+        }
+    }
+
+    #[test]
+    fn images_of_different_scenes_are_refused() {
+        let refused = |change: &dyn Fn(&mut Vec<ScaleNode>)| {
+            let mut nodes = nodes();
+            change(&mut nodes);
+            matches!(Sights::new(nodes, 8.0), Err(RigError::Shape { .. }))
+        };
+        assert!(!refused(&|_| {}));
+        assert!(refused(&|nodes| nodes.clear()));
+        assert!(refused(&|nodes| nodes.swap(0, 1)));
+        assert!(refused(&|nodes| nodes[1].operator.pixels[0] += 1));
+        assert!(refused(&|nodes| nodes[2].operator.rows += 1));
+        assert!(refused(&|nodes| nodes[2].operator.a_plate.truncate(5)));
+        assert!(Sights::empty(2, 3, vec![1.0; 5]).is_err());
+    }
 }

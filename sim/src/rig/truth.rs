@@ -7,17 +7,15 @@
 //! between both truths is the error of the method (scattering, walls, non-gray band).
 //!
 //! All pixels have the same marginal law and the images are piecewise linear in one variable, so that each pixel
-//! needs only the mean weight of each knot (and of knot × temperature shift), which depends on its optical depth alone:
-//! those serve every plate temperature, group and truth. The mean over the temperature shift at given optical depth is taken in closed form, the mean
-//! over the optical depth by scrambled nets. Fits nothing.
+//! needs only the mean weight of each knot (and of knot × temperature shift), which depends on its optical depth
+//! alone: those serve every plate temperature, group and truth. The mean over the temperature shift at given
+//! optical depth is taken in closed form, the mean over the optical depth by scrambled nets. Fits nothing.
 
 use super::RigError;
 use super::chamber::World;
+use super::level::{DIFFERENCE, Images, Level, PLATE_SLOPE, SHIFT, SHIFT_SQUARED};
 use super::radiometry::Optics;
-use super::sights::{
-    DIFFERENCE, Emission, Images, KNOTS_MAX, Level, PLATE_SLOPE, SHIFT, SHIFT_SQUARED, Sights, class_depth,
-    place,
-};
+use super::sights::{Emission, KNOTS_MAX, Sights, class_depth, place};
 use rayon::prelude::*;
 
 /// Below this mean absorptance a pixel has no physical temperature: NaN.
@@ -98,7 +96,7 @@ impl Truth {
             return Err(RigError::Config { key: "rig.truth".to_owned(), why });
         }
         let (sights, optics) = (world.sights(), world.optics());
-        let levels = plate_k.iter().map(|&t| sights.level_at(optics, t)).collect::<Result<Vec<_>, _>>()?;
+        let levels = plate_k.iter().map(|&t| Level::at(sights, optics, t)).collect::<Result<Vec<_>, _>>()?;
         let mean_k = plate_k.iter().sum::<f64>() / plate_k.len() as f64;
         let question = Question {
             sights,
@@ -272,7 +270,7 @@ impl Question<'_> {
         let (mut through, mut all) = (0.0, 0.0);
         for (g, weight) in self.plate_weights.iter().enumerate() {
             let coefficients = self.sights.coefficients(i, g);
-            let expected: f64 = coefficients.iter().zip(mean).map(|(c, w)| c.plate() * w[0]).sum();
+            let expected: f64 = coefficients.iter().zip(mean).map(|(c, w)| c.plate * w[0]).sum();
             through += weight * expected;
             all += weight;
         }
@@ -365,8 +363,8 @@ mod tests {
     use super::*;
     use crate::rig::chamber::{Moment, Target};
     use crate::rig::detector::Exposure;
+    use crate::rig::level::Illumination;
     use crate::rig::sample;
-    use crate::rig::sights::Illumination;
 
     const SAMPLING: Sampling = Sampling { points: 128, replicates: 8 };
     const PLATES: [f64; 3] = [393.1, 449.0, 513.0];
