@@ -32,8 +32,8 @@ pub struct LevelState {
     pub rejected: Vec<(u32, String)>,
     /// Apparent plate temperature at each accepted cycle, in K.
     pub plate_k: Vec<f64>,
-    /// Camera time stamps of the accepted spray frames, in ns (for telemetry and the report).
-    pub spray_ns: Vec<u64>,
+    /// The camera's numbers of the accepted spray frames.
+    pub spray_ids: Vec<u64>,
     /// The next unused cycle number.
     pub next_cycle: u32,
 }
@@ -75,7 +75,7 @@ struct FrameRef {
     cycle: u32,
     position: u32,
     shot: ShotKind,
-    device_ns: u64,
+    camera_id: u64,
     file: String,
     index: u64,
     crc32: u32,
@@ -90,6 +90,10 @@ pub struct Reduced {
     pub levels: Vec<LevelState>,
     /// The sums.
     pub total: Total,
+    /// One more than the highest frame number of the camera so far.
+    pub frames_seen: u64,
+    /// Spray frames so far, accepted or not.
+    pub injections_seen: u64,
     pending: Vec<FrameRef>,
     shutter_k: Option<f64>,
     pixels: usize,
@@ -120,7 +124,16 @@ impl Reduced {
             }),
         };
         let levels = vec![LevelState::default(); levels];
-        Ok(Self { plan, levels, total, pending: Vec::new(), shutter_k: None, pixels })
+        Ok(Self {
+            plan,
+            levels,
+            total,
+            frames_seen: 0,
+            injections_seen: 0,
+            pending: Vec::new(),
+            shutter_k: None,
+            pixels,
+        })
     }
 
     /// Takes the next record.
@@ -134,12 +147,14 @@ impl Reduced {
                 self.pending.clear();
                 self.shutter_k = *shutter_k;
             }
-            Record::Frame { cycle, position, shot, device_ns, file, index, crc32, .. } => {
+            Record::Frame { cycle, position, shot, camera_id, file, index, crc32, .. } => {
+                self.frames_seen = self.frames_seen.max(camera_id + 1);
+                self.injections_seen += u64::from(*shot == ShotKind::Spray);
                 self.pending.push(FrameRef {
                     cycle: *cycle,
                     position: *position,
                     shot: *shot,
-                    device_ns: *device_ns,
+                    camera_id: *camera_id,
                     file: file.clone(),
                     index: *index,
                     crc32: *crc32,
@@ -227,7 +242,7 @@ impl Reduced {
             counts.push(picture);
         }
         if let Some(last) = mine.last() {
-            self.levels[level].spray_ns.push(last.device_ns);
+            self.levels[level].spray_ids.push(last.camera_id);
         }
         match &mut self.total {
             Total::Map(sums) => {

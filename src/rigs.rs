@@ -26,8 +26,8 @@ const PIPE_BYTES: usize = 4096;
 /// Trigger pulses on their way to the simulated camera; when full, the trigger unit's task waits.
 const PULSES_MAX: usize = 16;
 
-/// Perfect shots of the statistical truth: 8 scrambles of 64 leave a standard error far below one run's noise.
-const TRUTH: Sampling = Sampling { points: 64, replicates: 8 };
+/// Perfect shots of the statistical truth: 8 scrambles of 512 leave a standard error far below one run's noise.
+const TRUTH: Sampling = Sampling { points: 512, replicates: 8 };
 
 /// Temperatures of the exact calibration's table, in K.
 const CURVE_K: std::ops::RangeInclusive<u32> = 250..=850;
@@ -58,8 +58,8 @@ impl OpenError {
     }
 }
 
-/// Exposure times and the plate's true surface temperature at them, as the simulated camera saw it.
-type PlateLog = Arc<Mutex<Vec<(f64, f64)>>>;
+/// The plate's true surface temperature at every exposure of this session, in K, in order of frame numbers.
+type PlateLog = Arc<Mutex<Vec<f64>>>;
 
 /// A rig that is ready to be opened; a simulated one is rendered.
 #[derive(Debug)]
@@ -67,7 +67,18 @@ pub struct Prepared {
     config: Config,
     world: Option<Arc<World>>,
     log: PlateLog,
-    elapsed_before_ns: std::sync::atomic::AtomicU64,
+    begins: Beginning,
+}
+
+/// Where a session begins in the life of a run.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Beginning {
+    /// Journal time, in ns.
+    pub elapsed_ns: u64,
+    /// Number of the camera's next frame, on a simulated rig.
+    pub frames: u64,
+    /// Injections so far, on a simulated rig.
+    pub injections: u64,
 }
 
 /// An open rig.
@@ -101,7 +112,7 @@ pub fn without_world(config: &Config) -> Prepared {
         config: config.clone(),
         world: None,
         log: PlateLog::default(),
-        elapsed_before_ns: std::sync::atomic::AtomicU64::new(0),
+        begins: Beginning::default(),
     }
 }
 
@@ -124,14 +135,15 @@ impl Prepared {
         self.config.campaign.pace == Pace::Max && addresses.iter().all(|address| *address == "sim")
     }
 
-    /// Journal time at which a resumed campaign goes on, in ns.
-    pub fn elapsed_before_ns(&self) -> u64 {
-        self.elapsed_before_ns.load(std::sync::atomic::Ordering::Relaxed)
+    /// Where this session begins.
+    pub fn beginning(&self) -> Beginning {
+        self.begins
     }
 
-    /// Sets [`Prepared::elapsed_before_ns`].
-    pub fn start_at(&self, elapsed_ns: u64) {
-        self.elapsed_before_ns.store(elapsed_ns, std::sync::atomic::Ordering::Relaxed);
+    /// The same rig, later in the life of a run: noise and shots go on where they were.
+    #[must_use]
+    pub fn beginning_at(self, begins: Beginning) -> Self {
+        Self { begins, ..self }
     }
 
     /// Opens every instrument. Must run inside the campaign's runtime.
@@ -197,6 +209,11 @@ impl Prepared {
             )?),
         };
         let log = Arc::clone(&self.log);
+        let state = WorldState {
+            exposures: self.begins.frames,
+            injections: self.begins.injections,
+            ..WorldState::default()
+        };
         let surface = move |now_s: f64| {
             let kelvin = match &plate {
                 Some(plate) => {
@@ -207,10 +224,10 @@ impl Prepared {
                 // A real plate in front of a simulated camera: the camera sees the room.
                 None => 296.0,
             };
-            log.lock().unwrap_or_else(PoisonError::into_inner).push((now_s, kelvin));
+            log.lock().unwrap_or_else(PoisonError::into_inner).push(kelvin);
             kelvin
         };
-        Ok(SimCamera::switch_on(world, Box::new(surface), rig.faults.clone(), WorldState::default(), pulses))
+        Ok(SimCamera::switch_on(world, Box::new(surface), rig.faults.clone(), state, pulses))
     }
 
     /// What the simulated world knows of itself at the accepted shots; `None` on a real rig or without a spray.
@@ -220,10 +237,10 @@ impl Prepared {
     /// [`OpenError::Build`] when the world cannot tell.
     pub fn truth(&self, reduced: &Reduced, config: &Config) -> Result<Option<WorldTruth>, OpenError> {
         let (Some(world), Some(rig)) = (&self.world, &config.rig) else { return Ok(None) };
-        if rig.spray.is_none() || reduced.levels.iter().any(|level| level.spray_ns.is_empty()) {
+        if rig.spray.is_none() || reduced.levels.iter().any(|level| level.spray_ids.is_empty()) {
             return Ok(None);
         }
-        let plate_k: Vec<f64> = reduced.levels.iter().map(|level| self.surface_at(&level.spray_ns)).collect();
+        let plate_k: Vec<f64> = reduced.levels.iter().map(|level| self.surface_at(&level.spray_ids)).collect();
         if plate_k.iter().any(|kelvin| !kelvin.is_finite()) {
             return Ok(None);
         }
@@ -263,16 +280,12 @@ impl Prepared {
         }))
     }
 
-    /// Mean true surface temperature at exposures with these time stamps (ns since the rig's start).
-    fn surface_at(&self, stamps_ns: &[u64]) -> f64 {
+    /// Mean true surface temperature at the exposures of this session with these frame numbers; NaN without any.
+    fn surface_at(&self, frames: &[u64]) -> f64 {
         let log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
-        let seen: Vec<f64> = stamps_ns
+        let seen: Vec<f64> = frames
             .iter()
-            .filter_map(|stamp| {
-                let wanted = *stamp as f64 * 1e-9;
-                let after = log.partition_point(|(t, _)| *t < wanted - 1e-3);
-                log.get(after).filter(|(t, _)| (t - wanted).abs() < 1e-2).map(|(_, kelvin)| *kelvin)
-            })
+            .filter_map(|frame| log.get(usize::try_from(frame.checked_sub(self.begins.frames)?).ok()?).copied())
             .collect();
         if seen.is_empty() { f64::NAN } else { seen.iter().sum::<f64>() / seen.len() as f64 }
     }

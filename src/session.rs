@@ -12,7 +12,7 @@ use crate::journal::{self, Entry, JournalError, Record};
 use crate::plan::Plan;
 use crate::reduce::{ReduceError, Reduced, Total};
 use crate::result::{self, ResultError};
-use crate::rigs::{self, OpenError, Prepared, View};
+use crate::rigs::{self, Beginning, OpenError, Prepared, View};
 use crate::run_folder::{FolderError, RunFolder, sha256};
 use crate::samples::Source;
 use ditd_drivers::error::DriverError;
@@ -169,9 +169,12 @@ pub fn resume(root: &Path, clock: Clock, stop: StopFlag) -> Result<String, Sessi
     let mut archive = Archive::new(folder.root(), c.rows * c.columns);
     let (mut recorder, entries) = Recorder::reopen(folder.root(), reduced, c.rows, c.columns, &mut archive)?;
     check_config(&entries, &source)?;
-    let prepared = prepare(&setting, View::Chamber)?;
-    let elapsed = entries.last().map_or(0, |entry| entry.t_ns);
-    prepared.start_at(elapsed);
+    let begins = Beginning {
+        elapsed_ns: entries.last().map_or(0, |entry| entry.t_ns),
+        frames: recorder.reduced().frames_seen,
+        injections: recorder.reduced().injections_seen,
+    };
+    let prepared = prepare(&setting, View::Chamber)?.beginning_at(begins);
     let engine = campaign(&setting, &plan, &prepared, &mut recorder, None, "campaign")?;
     finish(&setting, &folder, &prepared, recorder.reduced(), &calibrated, &engine)
 }
@@ -378,7 +381,7 @@ fn campaign(
             progress: &mut console,
             stop: setting.stop.clone(),
             started,
-            elapsed_before_ns: prepared.elapsed_before_ns(),
+            elapsed_before_ns: prepared.beginning().elapsed_ns,
         };
         let outcome = Box::pin(engine.run(start)).await;
         Ok::<_, OpenError>((outcome, started.elapsed().as_secs_f64()))
