@@ -21,6 +21,14 @@ const PRESSURE: &[&str] = &["p", "pressure", "static_pressure", "absolute_pressu
 const DENSITY: &[&str] = &["rho", "density", "drop_density"];
 const FRACTION: &[&str] = &["y", "mass_fraction", "fuel_mass_fraction", "y_fuel"];
 
+/// True if a parcel's quantity of this name can be of use; the others need not be read.
+pub(super) fn is_parcel_quantity(name: &str) -> bool {
+    [DIAMETER, DROPLETS, PARCEL_MASS, TEMPERATURE, DENSITY]
+        .concat()
+        .iter()
+        .any(|n| name.eq_ignore_ascii_case(n))
+}
+
 /// True if the arrays are those of a cloud: they have a droplet's diameter.
 pub(super) fn is_cloud(arrays: &Arrays) -> bool {
     find(arrays, DIAMETER).is_some()

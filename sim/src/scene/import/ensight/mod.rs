@@ -130,7 +130,9 @@ impl Case {
         if let Some(measured) = &self.measured {
             let cloud = files::measured(&self.path(measured, time_s)?)?;
             let mut arrays = Arrays::new();
-            for variable in self.variables.iter().filter(|v| v.kind == Kind::Measured) {
+            let wanted =
+                |v: &&Variable| v.kind == Kind::Measured && named::is_parcel_quantity(plain_name(&v.name));
+            for variable in self.variables.iter().filter(wanted) {
                 let file = self.path(&variable.file, time_s)?;
                 let values = files::measured_values(&file, cloud.positions.len(), cloud.binary || binary)?;
                 arrays.insert(plain_name(&variable.name).to_owned(), values);

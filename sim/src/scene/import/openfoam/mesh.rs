@@ -275,16 +275,16 @@ fn first_base(
 fn tet_quality(a: [f64; 3], b: [f64; 3], c: [f64; 3], d: [f64; 3]) -> f64 {
     let (ab, ac, ad) = (sub(b, a), sub(c, a), sub(d, a));
     let volume = dot(cross(ab, ac), ad) / 6.0;
-    let (ba, ca) = (cross(ad, ab), cross(ac, ad));
-    let lambda = dot(ad, ad) - dot(ac, ad);
-    let mu = dot(ad, ad) - dot(ab, ad);
-    let numerator = add(scale(ba, lambda), scale(ca, mu));
-    let denominator = dot(ac, ba);
+    // Twice the way from `a` to the centre of the sphere is ab + along.
+    let (across, aside) = (cross(ac, ab), cross(ad, ab));
+    let lambda = dot(ad, ad) - dot(ab, ad);
+    let mu = dot(ac, ac) - dot(ab, ac);
+    let denominator = dot(ad, across);
     let radius = if denominator.abs() < 1e-150 {
         1e15
     } else {
-        0.5 * dot(add(ad, scale(numerator, 1.0 / denominator)), add(ad, scale(numerator, 1.0 / denominator)))
-            .sqrt()
+        let along = scale(sub(scale(across, lambda), scale(aside, mu)), 1.0 / denominator);
+        0.5 * dot(add(ab, along), add(ab, along)).sqrt()
     };
     volume / (8.0 / (9.0 * 3.0_f64.sqrt()) * radius.min(1e15).powi(3) + 1e-150)
 }
