@@ -3,6 +3,8 @@
 //!
 //! The samples are real files, packed one by one to keep the repository small; a test unpacks what it reads.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly too")]
+
 use ditd_sim::scene::compact;
 use ditd_sim::scene::deposit::{self, DepositOptions, Move, Placement};
 use ditd_sim::scene::field::{CfdSpray, Parcel, SprayField, Totals};
@@ -45,8 +47,10 @@ fn reference(name: &str) -> String {
     std::fs::read_to_string(folder.join(name)).unwrap()
 }
 
-/// The totals of the reference in our names, with `None` where it has no value.
-fn expected(time: &str) -> Vec<(&'static str, f64, fn(&Totals) -> Option<f64>)> {
+/// A total: what it is, its value in the reference, and where we have it.
+type Expected = (&'static str, f64, fn(&Totals) -> Option<f64>);
+
+fn expected(time: &str) -> Vec<Expected> {
     let all: serde_json::Value = serde_json::from_str(&reference("reference.json")).unwrap();
     let of = |key: &str| all["times"][time][key].as_f64().unwrap();
     vec![
@@ -234,6 +238,11 @@ fn what_is_no_spray_is_refused_and_says_what_is_known() {
     let (_keep, path) = sample("openfoam");
     let error = import::read(&path, Time::At(0.1), &ImportOptions::default()).unwrap_err();
     assert!(matches!(&error, SceneError::Time { present, .. } if present == "0.0007"), "{error}");
+    let block = path.join("x.vtm");
+    std::fs::write(&block, "<VTKFile type='vtkMultiBlockDataSet'><DataSet file='away.vtu'/></VTKFile>")
+        .unwrap();
+    let error = import::read(&block, Time::Latest, &ImportOptions::default()).unwrap_err();
+    assert!(matches!(&error, SceneError::Access { file, .. } if file.ends_with("away.vtu")), "{error}");
     std::fs::remove_file(path.join("0.0007/lagrangian/sprayCloud/d")).unwrap();
     let error = import::read(&path, Time::Latest, &ImportOptions::default()).unwrap_err();
     assert!(matches!(&error, SceneError::Missing { file, .. } if file.ends_with("d")), "{error}");
@@ -250,6 +259,15 @@ fn a_file_of_another_mesh_is_refused_by_its_length() {
     .unwrap();
     let error = import::read(&path, Time::Latest, &ImportOptions::default()).unwrap_err();
     assert!(matches!(error, SceneError::Length { expected: 17_272, found: 2, .. }), "{error}");
+}
+
+#[test]
+fn numbers_that_are_none_are_refused_in_the_gas() {
+    let (_keep, path) = sample("openfoam");
+    let head = "FoamFile { version 2.0; format ascii; class volScalarField; object T; }\n";
+    std::fs::write(path.join("0.0007/T"), format!("{head}internalField uniform nan;\n")).unwrap();
+    let error = import::read(&path, Time::Latest, &ImportOptions::default()).unwrap_err();
+    assert!(matches!(error, SceneError::Malformed { .. }), "{error}");
 }
 
 #[test]

@@ -159,3 +159,78 @@ fn row(text: &mut String, name: &str, totals: &[Totals], value: impl Fn(&Totals)
     }
     text.push('\n');
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn args(path: &Path, time: &str) -> Args {
+        Args {
+            path: path.to_owned(),
+            time: time.into(),
+            json: true,
+            write: None,
+            fuel: None,
+            fuel_molar_mass: None,
+            carrier_molar_mass: import::NITROGEN_KG_MOL,
+            length_unit: 1.0,
+        }
+    }
+
+    #[test]
+    fn a_written_spray_is_read_again_and_wrong_requests_end_with_status_2() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("x.spray");
+        write(&compact::shipped().unwrap(), &file).unwrap();
+        assert_eq!(chosen(&file, "all").unwrap().len(), 1);
+        assert!((chosen(&file, "latest").unwrap()[0] - 0.0009).abs() < 1e-12);
+        assert_eq!(chosen(&file, "soon").unwrap_err().code, 2);
+        assert_eq!(run(args(&file, "0.5")).unwrap_err().code, 2);
+        assert_eq!(run(args(folder.path(), "all")).unwrap_err().code, 2);
+        let mut bytes = std::fs::read(&file).unwrap();
+        bytes.truncate(1000);
+        std::fs::write(&file, bytes).unwrap();
+        assert_eq!(run(args(&file, "all")).unwrap_err().code, 5);
+    }
+
+    #[test]
+    fn every_key_is_there_and_null_where_the_form_lacks_it() {
+        let mut spray = compact::shipped().unwrap();
+        spray.cells = None;
+        let json = serde_json::to_value(spray.totals()).unwrap();
+        let keys = [
+            "time_s",
+            "parcels",
+            "junk_parcels",
+            "droplets",
+            "liquid_mass_kg",
+            "d10_um",
+            "d32_um",
+            "d_min_um",
+            "d_max_um",
+            "t_liquid_min_k",
+            "t_liquid_max_k",
+            "cells",
+            "vapour_mass_kg",
+            "t_gas_min_k",
+            "t_gas_max_k",
+            "n_eff",
+            "geometric_area_m2",
+        ];
+        for key in keys {
+            let value = json.get(key).unwrap_or_else(|| panic!("{key} is missing"));
+            let is_gas = matches!(key, "cells" | "vapour_mass_kg" | "t_gas_min_k" | "t_gas_max_k");
+            assert_eq!(value.is_null(), is_gas, "{key}");
+        }
+    }
+
+    #[test]
+    fn the_table_has_a_column_per_time_and_a_dash_for_nothing() {
+        let mut spray = compact::shipped().unwrap();
+        let whole = spray.totals();
+        spray.cells = None;
+        let text = table(&[whole, spray.totals()]);
+        let vapour = text.lines().find(|l| l.starts_with("vapour mg")).unwrap();
+        assert_eq!(vapour.split_whitespace().collect::<Vec<_>>(), ["vapour", "mg", "6.6823", "-"]);
+    }
+}

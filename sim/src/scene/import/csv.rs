@@ -231,7 +231,7 @@ mod tests {
             let (found, unit) = column(field).unwrap();
             assert_eq!((found.as_str(), unit.factor, unit.shift), (name, factor, 0.0), "{field}");
         }
-        assert_eq!(column("T [C]").unwrap().1.shift, 273.15);
+        assert_eq!(column("T [C]").unwrap().1, Unit { factor: 1.0, shift: 273.15 });
         assert_eq!(column("T [furlong]"), None);
     }
 }

@@ -254,6 +254,21 @@ impl Made {
             domain.extend(cell.lower_m);
             domain.extend(cell.upper_m);
         }
+        let sound = |c: &GasCell| {
+            c.volume_m3().is_finite()
+                && c.temperature_k.is_finite()
+                && c.density_kg_m3.is_finite()
+                && c.fuel_mass_fraction.is_finite()
+        };
+        if let Some(index) = self.cells.iter().flatten().position(|c| !sound(c)) {
+            let expected = "a finite shape, temperature, density and mass fraction in every gas cell";
+            return Err(SceneError::malformed(
+                file,
+                Place::Whole,
+                expected,
+                format!("others in cell {index}"),
+            ));
+        }
         let has_cells = self.cells.as_ref().is_some_and(|c| !c.is_empty());
         Ok(CfdSpray {
             time_s: self.time_s,

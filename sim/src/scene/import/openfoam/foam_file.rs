@@ -6,6 +6,9 @@
 use super::super::error::{Place, SceneError};
 use std::path::{Path, PathBuf};
 
+/// Longest list `N{value}` of whole numbers that is believed; meshes have no such lists but of a few entries.
+const EQUAL_LABELS_MAX: usize = 1 << 26;
+
 /// A value for all, or one for each.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Values {
@@ -174,8 +177,13 @@ impl FoamFile {
         }
     }
 
-    /// A list of scalars, one per parcel.
-    pub(super) fn scalars(&self) -> Result<Vec<f64>, SceneError> {
+    /// A list of scalars, one for each of this many parcels.
+    pub(super) fn scalars(&self, expected: usize) -> Result<Vec<f64>, SceneError> {
+        // Asked before anything is reserved: `4000000000{1}` is a valid list.
+        let found = self.start().count()?;
+        if found != expected {
+            return Err(SceneError::length(&self.path, "values of the parcels", expected, found));
+        }
         self.start().scalars()
     }
 
@@ -447,6 +455,9 @@ impl<'a> Cursor<'a> {
             self.at += 1;
             let value = self.label()?;
             self.expect(b'}')?;
+            if count > EQUAL_LABELS_MAX {
+                return Err(self.error(&format!("at most {EQUAL_LABELS_MAX} equal numbers")));
+            }
             return Ok(vec![value; count]);
         }
         if self.file.binary {
@@ -546,18 +557,18 @@ mod tests {
 
     #[test]
     fn constant_lists_and_fields_are_accepted() {
-        assert_eq!(file(&format!("{HEAD}3{{1.5}}\n")).unwrap().scalars().unwrap(), vec![1.5; 3]);
+        assert_eq!(file(&format!("{HEAD}3{{1.5}}\n")).unwrap().scalars(3).unwrap(), vec![1.5; 3]);
         let uniform = file(&format!("{HEAD}internalField uniform 523;\n")).unwrap();
         assert_eq!(uniform.internal_field().unwrap(), Values::Uniform(523.0));
         let each =
             file(&format!("{HEAD}internalField nonuniform List<scalar> \n2\n(\n1\n2e-3\n)\n;\n")).unwrap();
         assert_eq!(each.internal_field().unwrap(), Values::Each(vec![1.0, 2e-3]));
-        assert!(file(&format!("{HEAD}0()\n")).unwrap().scalars().unwrap().is_empty());
+        assert!(file(&format!("{HEAD}0()\n")).unwrap().scalars(0).unwrap().is_empty());
     }
 
     #[test]
     fn truncated_list_names_the_line_and_what_was_expected() {
-        let error = file(&format!("{HEAD}3\n(\n1\n2\n")).unwrap().scalars().unwrap_err();
+        let error = file(&format!("{HEAD}3\n(\n1\n2\n")).unwrap().scalars(3).unwrap_err();
         let SceneError::Malformed { place, found, .. } = &error else { panic!("{error}") };
         assert_eq!((*place, found.as_str()), (Place::Line(14), "the end of the file"));
     }
@@ -570,7 +581,7 @@ mod tests {
 
     #[test]
     fn a_huge_count_does_not_ask_for_memory() {
-        assert!(file(&format!("{HEAD}4000000000\n(\n1\n)\n")).unwrap().scalars().is_err());
+        assert!(file(&format!("{HEAD}4000000000\n(\n1\n)\n")).unwrap().scalars(4_000_000_000).is_err());
     }
 
     #[test]

@@ -178,6 +178,15 @@ impl Mesh {
         if let Some(&cell) = self.neighbour.iter().find(|&&n| n as usize >= cells) {
             return refuse("neighbour", format!("cells below {cells}"), cell.to_string());
         }
+        let mut has_face = vec![false; cells];
+        (0..faces).for_each(|face| self.sides_of(face).for_each(|cell| has_face[cell] = true));
+        if let Some(cell) = has_face.iter().position(|has| !has) {
+            return refuse(
+                "owner",
+                format!("faces of each of {cells} cells"),
+                format!("none of cell {cell}"),
+            );
+        }
         if self.seams.iter().any(|s| s.first_face + s.faces > faces) {
             return refuse("boundary", format!("patches within {faces} faces"), "a patch beyond them".into());
         }

@@ -255,11 +255,7 @@ fn cloud(folder: &Path, places: &FoamFile, part: usize, meshes: &[Mesh]) -> Resu
     let spots = places.spots()?;
     let list = |name: &str| -> Result<Option<Vec<f64>>, SceneError> {
         let Some(file) = FoamFile::find(folder, name)? else { return Ok(None) };
-        let values = file.scalars()?;
-        if values.len() != spots.len() {
-            return Err(SceneError::length(file.path(), "values of the parcels", spots.len(), values.len()));
-        }
-        Ok(Some(values))
+        file.scalars(spots.len()).map(Some)
     };
     let need = |name: &str| {
         list(name)?

@@ -281,5 +281,5 @@ fn faces_from(stream: &[i64]) -> Option<Vec<Vec<usize>>> {
         faces.push(face.iter().map(|&p| usize::try_from(p).ok()).collect::<Option<_>>()?);
         rest = after;
     }
-    Some(faces)
+    (!faces.is_empty()).then_some(faces)
 }
