@@ -517,7 +517,8 @@ fn a_region_reports_what_lies_outside() {
 #[test]
 fn a_spray_may_be_placed_and_turned() {
     let spray = compact::shipped().unwrap();
-    let (_, still) = deposit::field(&spray, &DepositOptions::default()).unwrap();
+    let coarse = DepositOptions { cell_m: Some(2e-3), ..DepositOptions::default() };
+    let (_, still) = deposit::field(&spray, &coarse).unwrap();
     for (scene_axis, exact) in [([1.0, 0.0, 0.0], true), ([1.0, 0.0, -1.0], false)] {
         let placement = Placement::new(Move {
             tip_m: [0.0, 0.0, -0.0006],
@@ -528,7 +529,7 @@ fn a_spray_may_be_placed_and_turned() {
         })
         .unwrap();
         assert_eq!(placement.keeps_boxes(), exact);
-        let options = DepositOptions { placement: Some(placement), ..DepositOptions::default() };
+        let options = DepositOptions { placement: Some(placement), ..coarse.clone() };
         let (field, report) = deposit::field(&spray, &options).unwrap();
         well_formed(&field);
         assert!(report.droplet_error < 1e-12 && report.vapour_error < 1e-12, "{report:?}");
