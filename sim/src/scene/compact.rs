@@ -5,7 +5,7 @@
 //! bytes transposed (all first bytes, all second bytes …) because that packs better.
 //!
 //! What is given up: parcels and gas values are single precision (relative error 6e-8; places 2e-9 m at 30 mm),
-//! the pressure is computed from density and temperature (1e-5, the rounding of molar masses), and the cells with the least
+//! the pressure is computed from density and temperature (2e-6, the rounding of molar masses), and the cells with the least
 //! vapour are left out up to [`VAPOUR_LEFT_OUT`] of it all; their sums stay in [`Remainder`], so that totals
 //! keep their values. Cell corners are exact.
 
