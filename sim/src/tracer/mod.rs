@@ -6,6 +6,8 @@ pub mod image;
 pub mod medium;
 pub mod operator;
 pub mod plate;
+pub mod rays;
+pub mod shape;
 
 mod cache;
 mod gather;

@@ -128,6 +128,11 @@ impl Plate {
         inside.then_some(distance)
     }
 
+    /// Whether it fills most of a half space, so that aiming at it gains nothing.
+    pub fn is_wide(&self) -> bool {
+        matches!(self.form, Form::Cone { versine, .. } if versine > 0.5)
+    }
+
     /// A direction from `origin` towards the plate, with its density per steradian; none where the plate cannot be
     /// aimed at (behind its face, or so near that the density has no bound).
     pub fn sample(&self, origin: Vector, u: f64, v: f64) -> Option<(Vector, f64)> {
