@@ -29,7 +29,8 @@ fn main() {
             let started = Instant::now();
             let row = f(&row, &options);
             let seconds = started.elapsed().as_secs_f64();
-            let z: Vec<String> = row.values.iter().zip(row.z()).map(|(v, z)| format!("{} {z:+.2}", v.0)).collect();
+            let z: Vec<String> =
+                row.values.iter().zip(row.z()).map(|(v, z)| format!("{} {z:+.2}", v.0)).collect();
             let worst = row.values.iter().fold(0.0_f64, |a, v| a.max(v.4));
             println!(
                 "{:60} se {worst:.1e} paths {:8} cut {} {seconds:6.2} s  z {}",
@@ -41,7 +42,10 @@ fn main() {
             rows.push(row);
         }
         let (largest, rms) = summary(&rows);
-        println!("{name}: largest |z| {largest:.2}, rms z {rms:.3}, {:.1} s so far", start.elapsed().as_secs_f64());
+        println!(
+            "{name}: largest |z| {largest:.2}, rms z {rms:.3}, {:.1} s so far",
+            start.elapsed().as_secs_f64()
+        );
         all.extend(rows);
     }
     let (largest, rms) = summary(&all);

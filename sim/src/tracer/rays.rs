@@ -134,22 +134,27 @@ impl World<'_> {
         let first = FirstSegment { pieces, cumulative };
         // Nothing to find: no plate, and a medium that does not emit.
         let needless = scattered <= 0.0 || (self.plate.is_none() && self.body.is_conservative());
-        let mut replicates = vec![Replicate { sums: vec![0.0; 1 + self.channels], cut: 0 }; REPLICATES as usize];
+        let mut replicates =
+            vec![Replicate { sums: vec![0.0; 1 + self.channels], cut: 0 }; REPLICATES as usize];
         let mut points = 0_u32;
         let mut errors = (0.0, 0.0, vec![0.0; self.channels]);
-        while !needless {
-            let next = if points == 0 { FIRST_POINTS } else { points.saturating_mul(2) };
-            replicates.par_iter_mut().enumerate().for_each(|(r, replicate)| {
-                let name = sobol::sequence(options.seed, number, u32::try_from(r).unwrap_or(0));
-                for index in points..next {
-                    self.path(&first, Point::new(name, index), replicate);
+        if !needless {
+            loop {
+                let next = if points == 0 { FIRST_POINTS } else { points.saturating_mul(2) };
+                replicates.par_iter_mut().enumerate().for_each(|(r, replicate)| {
+                    let name = sobol::sequence(options.seed, number, u32::try_from(r).unwrap_or(0));
+                    for index in points..next {
+                        self.path(&first, Point::new(name, index), replicate);
+                    }
+                });
+                points = next;
+                errors = self.errors(&replicates, f64::from(points));
+                let worst = errors.0.max(errors.1).max(errors.2[0]);
+                if worst <= options.target_error
+                    || u64::from(points) * u64::from(REPLICATES) * 2 > options.paths_max
+                {
+                    break;
                 }
-            });
-            points = next;
-            errors = self.errors(&replicates, f64::from(points));
-            let worst = errors.0.max(errors.1).max(errors.2[0]);
-            if worst <= options.target_error || u64::from(points) * u64::from(REPLICATES) * 2 > options.paths_max {
-                break;
             }
         }
         let paths = u64::from(points) * u64::from(REPLICATES);
@@ -218,8 +223,12 @@ impl World<'_> {
     }
 
     fn path(&self, first: &FirstSegment, point: Point, replicate: &mut Replicate) {
-        let mut place =
-            self.collide(&first.pieces, &first.cumulative, (self.origin, self.direction), point.coordinate(0));
+        let mut place = self.collide(
+            &first.pieces,
+            &first.cumulative,
+            (self.origin, self.direction),
+            point.coordinate(0),
+        );
         let mut weight = first.cumulative[first.cumulative.len() - 1];
         let mut direction = self.direction;
         let (mut pieces, mut cumulative) = (Vec::new(), Vec::new());
@@ -247,7 +256,12 @@ impl World<'_> {
                 }
                 weight = ROULETTE_WEIGHT;
             }
-            place = self.collide(&pieces, &cumulative, (place, direction), point.coordinate(dimension + DIMENSIONS));
+            place = self.collide(
+                &pieces,
+                &cumulative,
+                (place, direction),
+                point.coordinate(dimension + DIMENSIONS),
+            );
         }
         replicate.cut += 1;
     }

@@ -134,7 +134,8 @@ impl<'a> Body<'a> {
             Shape::Cylinder { radius_m, extinction, axis, .. } => {
                 positive("the cylinder's radius", *radius_m)?;
                 let condition = "a direction of finite length";
-                *axis = unit(*axis).ok_or(TracerError::Geometry { what: "the cylinder's axis", condition })?;
+                *axis =
+                    unit(*axis).ok_or(TracerError::Geometry { what: "the cylinder's axis", condition })?;
                 *extinction
             }
             Shape::Gaussian { width_m, extinction, .. } => {
@@ -148,7 +149,8 @@ impl<'a> Body<'a> {
                 *extinction
             }
         };
-        let wrong = |what, value, condition| Err(TracerError::Coefficient { what, entry: 0, value, condition });
+        let wrong =
+            |what, value, condition| Err(TracerError::Coefficient { what, entry: 0, value, condition });
         if !(extinction >= 0.0 && extinction.is_finite()) {
             return wrong("extinction", extinction, "finite and not negative");
         }
@@ -199,14 +201,22 @@ impl<'a> Body<'a> {
     pub(super) fn pieces(&self, origin: Vector, direction: Vector, far: f64, out: &mut Vec<Piece>) {
         out.clear();
         match &self.kind {
-            Kind::Grid { lattice, medium, group } => lattice.walk(origin, direction, far, |cell, start, end| {
-                let entry = cell as usize * medium.groups + group;
-                let (k, sca) = (medium.k_ext[entry], medium.k_sca[entry]);
-                if k > 0.0 {
-                    out.push(Piece { start, end, depth: k * (end - start), albedo: (sca / k).min(1.0), cell });
-                }
-                true
-            }),
+            Kind::Grid { lattice, medium, group } => {
+                lattice.walk(origin, direction, far, |cell, start, end| {
+                    let entry = cell as usize * medium.groups + group;
+                    let (k, sca) = (medium.k_ext[entry], medium.k_sca[entry]);
+                    if k > 0.0 {
+                        out.push(Piece {
+                            start,
+                            end,
+                            depth: k * (end - start),
+                            albedo: (sca / k).min(1.0),
+                            cell,
+                        });
+                    }
+                    true
+                })
+            }
             Kind::Shape { shape, extinction, albedo } => {
                 let Some((start, end)) = span(shape, origin, direction, far) else { return };
                 let depth = if let Shape::Gaussian { centre_m, width_m, .. } = shape {
@@ -269,7 +279,8 @@ fn span(shape: &Shape, origin: Vector, direction: Vector, far: f64) -> Option<(f
         }
         Shape::Gaussian { centre_m, width_m, .. } => {
             let closest = dot(sub(*centre_m, origin), direction);
-            let (start, end) = ((closest - GAUSSIAN_REACH * width_m).max(0.0), closest + GAUSSIAN_REACH * width_m);
+            let (start, end) =
+                ((closest - GAUSSIAN_REACH * width_m).max(0.0), closest + GAUSSIAN_REACH * width_m);
             (start < end.min(far)).then_some((start, end.min(far)))
         }
     }
@@ -297,7 +308,13 @@ fn gaussian_ray(centre: Vector, width: f64, extinction: f64, ray: (Vector, Vecto
     (closest, extinction * (-0.5 * dot(nearest, nearest) / (width * width)).exp())
 }
 
-fn gaussian_depth(centre: Vector, width: f64, extinction: f64, ray: (Vector, Vector), span: (f64, f64)) -> f64 {
+fn gaussian_depth(
+    centre: Vector,
+    width: f64,
+    extinction: f64,
+    ray: (Vector, Vector),
+    span: (f64, f64),
+) -> f64 {
     let (closest, peak) = gaussian_ray(centre, width, extinction, ray);
     let (a, b) = ((span.0 - closest) / (width * SQRT_2), (span.1 - closest) / (width * SQRT_2));
     // On one side of the centre the difference of two erf cancels; that of two erfc does not.

@@ -19,10 +19,9 @@ pub struct Row {
 
 impl Row {
     pub fn z(&self) -> impl Iterator<Item = f64> {
-        self.values
-            .iter()
-            .filter(|v| v.4 > 0.0)
-            .map(|&(_, want, se_want, got, se_got)| (got - want) / (se_want * se_want + se_got * se_got).sqrt())
+        self.values.iter().filter(|v| v.4 > 0.0).map(|&(_, want, se_want, got, se_got)| {
+            (got - want) / (se_want * se_want + se_got * se_got).sqrt()
+        })
     }
 }
 
@@ -50,10 +49,15 @@ pub fn phase(name: &str) -> PhaseFunction {
         "hg0_9" => PhaseFunction::HenyeyGreenstein { asymmetry: 0.9 },
         "mie_a" => {
             let value = json("phase_mie_a.json");
-            let chi: Vec<f64> =
-                value["chi"].as_array().expect("moments").iter().map(|c| c.as_f64().expect("a number")).collect();
+            let chi: Vec<f64> = value["chi"]
+                .as_array()
+                .expect("moments")
+                .iter()
+                .map(|c| c.as_f64().expect("a number"))
+                .collect();
             let n = 4000;
-            let theta: Vec<f64> = (0..=n).map(|i| std::f64::consts::PI * f64::from(i) / f64::from(n)).collect();
+            let theta: Vec<f64> =
+                (0..=n).map(|i| std::f64::consts::PI * f64::from(i) / f64::from(n)).collect();
             let p: Vec<f64> = theta.iter().map(|t| legendre_series(&chi, t.cos())).collect();
             PhaseFunction::Table(Arc::new(PhaseTable::new(&theta, &p).expect("a phase function").0))
         }
@@ -90,7 +94,11 @@ pub fn slab(row: &[String], options: &RayOptions) -> Row {
         ("a_walls", want[1], 1e-9, answer.walls, answer.se_walls),
         ("a_medium", want[2], 1e-9, answer.medium[0], answer.se_medium[0]),
     ];
-    Row { name: format!("slab {} {} omega {omega} tau {tau} cone {mu_cone:.3} mu {mu}", row[0], row[1]), answer, values }
+    Row {
+        name: format!("slab {} {} omega {omega} tau {tau} cone {mu_cone:.3} mu {mu}", row[0], row[1]),
+        answer,
+        values,
+    }
 }
 
 /// A row of semi_infinite_isotropic.csv.
