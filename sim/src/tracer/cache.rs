@@ -38,6 +38,11 @@ const ORDERS_MAX: usize = 512;
 /// Optical depth of a leaf that is still taken as one.
 const LEAF_DEPTH: f32 = 0.3;
 
+/// Largest ratio of extinctions within 4³ cells that is cut into leaves of this edge.
+fn spread_max(edge: usize) -> f32 {
+    if edge == 4 { 1.5 } else { 3.0 }
+}
+
 /// Cells along the edge of the largest leaf.
 const LEAF_MAX: usize = 4;
 
@@ -192,11 +197,18 @@ impl Leaves {
             list
         };
         for (_, corner) in blocks {
-            let thickest = inside(corner, LEAF_MAX)
-                .iter()
-                .map(|&c| medium.mean_k[ordinal(c) as usize][0] * step)
-                .fold(0.0_f32, f32::max);
-            let edge = [4, 2, 1].into_iter().find(|&e| thickest * e as f32 <= LEAF_DEPTH).unwrap_or(1);
+            let members = inside(corner, LEAF_MAX);
+            let (mut thinnest, mut thickest) = (f32::INFINITY, 0.0_f32);
+            for &c in &members {
+                let k = medium.mean_k[ordinal(c) as usize][0];
+                (thinnest, thickest) = (thinnest.min(k), thickest.max(k));
+            }
+            // Where the medium changes from cell to cell, so does what it scatters.
+            let spread =
+                if members.len() == LEAF_MAX.pow(3) { thickest / thinnest.max(1e-30) } else { f32::INFINITY };
+            let fits =
+                |edge: usize| thickest * step * edge as f32 <= LEAF_DEPTH && spread <= spread_max(edge);
+            let edge = [4, 2].into_iter().find(|&e| fits(e)).unwrap_or(1);
             for part in 0..(LEAF_MAX / edge).pow(3) {
                 let per_axis = LEAF_MAX / edge;
                 let at = [part / (per_axis * per_axis), part / per_axis % per_axis, part % per_axis];
@@ -275,17 +287,20 @@ impl Leaves {
 }
 
 /// Sums over the samples of every leaf.
-pub(super) struct Cache {
+pub(super) struct Cache<const N: usize> {
     /// Rows per leaf: plate, walls, then the emission channels.
     pub(super) rows: usize,
-    /// Group means per leaf and half of the samples: plate, walls, emission of channel 0.
-    pub(super) halves: Vec<[[f32; 3]; 2]>,
+    /// Sums per leaf and half of the samples: plate, walls, emission of channel 0.
+    pub(super) halves: Vec<Halves<N>>,
     /// Samples taken.
     pub(super) samples: u64,
     /// Scatterings simulated.
     pub(super) scatterings: u64,
     batches: u32,
 }
+
+/// Sums over the two halves of the samples: plate, walls, emission of channel 0.
+pub(super) type Halves<const N: usize> = [[[Lane; N]; 3]; 2];
 
 /// What a path needs to know of its world.
 pub(super) struct World<'a, const N: usize> {
@@ -300,12 +315,12 @@ pub(super) struct World<'a, const N: usize> {
     pub(super) seed: u64,
 }
 
-impl Cache {
+impl<const N: usize> Cache<N> {
     /// A cache without samples.
     pub(super) fn new(leaves: &Leaves, channels: usize) -> Self {
         Self {
             rows: ROWS_BEFORE_CHANNELS + channels,
-            halves: vec![[[0.0; 3]; 2]; leaves.list.len()],
+            halves: vec![[[[Lane::ZERO; N]; 3]; 2]; leaves.list.len()],
             samples: 0,
             scatterings: 0,
             batches: 0,
@@ -319,7 +334,7 @@ impl Cache {
         clippy::cast_sign_loss,
         reason = "sample counts are below 2^31"
     )]
-    pub(super) fn add<const N: usize>(
+    pub(super) fn add(
         &mut self,
         world: &World<'_, N>,
         sums: &mut [[Lane; N]],
@@ -374,7 +389,7 @@ fn sample_leaf<const N: usize>(
     range: std::ops::Range<u32>,
     names: [u32; 2],
     sums: &mut [[Lane; N]],
-    halves: &mut [[f32; 3]; 2],
+    halves: &mut Halves<N>,
 ) -> u64 {
     let mut scatterings = 0;
     let leaf = &world.leaves.list[leaf];
@@ -392,7 +407,8 @@ fn sample_leaf<const N: usize>(
             let start = world.fine.lattice.place(units);
             let (direction, distance) = world.sights.towards(start);
             if distance > 0.0 {
-                scatterings += trace(world, point, start, direction, &mut own);
+                let (start, weight) = seen_place(world.fine, cell, start, direction);
+                scatterings += trace(world, point, start, direction, weight, &mut own);
             }
         }
         for (sum, row) in sums.iter_mut().zip(&own) {
@@ -401,10 +417,49 @@ fn sample_leaf<const N: usize>(
             }
         }
         for (value, row) in halves[half].iter_mut().zip(&own) {
-            *value += row.iter().map(|lane| lane.sum()).sum::<f32>() / narrow(real(world.groups));
+            for n in 0..N {
+                value[n] = value[n] + row[n];
+            }
         }
     }
     scatterings
+}
+
+/// Moves a uniform place in a cell along its sight to where the camera sees the cell scatter: exponentially towards the
+/// near side, with the groups' weights against the mean. This makes the mean over samples the very mean that the
+/// gather needs, however the source function falls off inside an opaque cell.
+#[inline(always)]
+fn seen_place<const N: usize>(
+    medium: &Packed<N>,
+    cell: [u16; 3],
+    start: Vector,
+    direction: Vector,
+) -> (Vector, [Lane; N]) {
+    let lattice = &medium.lattice;
+    let cells = lattice.cells;
+    let c = cell.map(usize::from);
+    let ordinal = lattice.index[(c[0] * cells[1] + c[1]) * cells[2] + c[2]] as usize;
+    let (low, high) = (lattice.place(c.map(real)), lattice.place(c.map(|i| real(i + 1))));
+    let (mut before, mut behind) = (f64::NEG_INFINITY, f64::INFINITY);
+    for a in 0..3 {
+        if direction[a].abs() > 1e-100 {
+            let (t0, t1) = ((low[a] - start[a]) / direction[a], (high[a] - start[a]) / direction[a]);
+            before = before.max(t0.min(t1));
+            behind = behind.min(t0.max(t1));
+        }
+    }
+    let chord = behind - before;
+    let k = f64::from(medium.mean_k[ordinal][0]);
+    let depth = k * chord;
+    if depth.is_nan() || depth < 1e-6 {
+        return (start, [Lane::ONE; N]);
+    }
+    let open = -(-depth).exp_m1();
+    let fraction = (-before / chord).clamp(0.0, 1.0);
+    let place = (-(-fraction * open).ln_1p() / k).min(chord);
+    let (mean, share, at) = (narrow(k), narrow(open / depth), narrow(place));
+    let weight = medium.k[ordinal].map(|k| k.map(|k| share * ((mean - k) * at).clamp(-20.0, 20.0).exp()));
+    (along(start, before + place, direction), weight)
 }
 
 /// Where and with what throughput a path scatters next.
@@ -423,11 +478,15 @@ fn trace<const N: usize>(
     point: Point,
     start: Vector,
     direction: Vector,
+    seen: [Lane; N],
     rows: &mut [[Lane; N]],
 ) -> u64 {
     let medium = world.medium;
     let groups = narrow(real(world.groups));
     let (cosine, sine, mut weight) = world.phase.sample(point.coordinate(0));
+    for n in 0..N {
+        weight[n] = weight[n] * seen[n];
+    }
     let mut direction = turn(direction, cosine, sine, std::f64::consts::TAU * point.coordinate(1));
     let mut origin = start;
     for order in 0..ORDERS_MAX {
@@ -565,8 +624,11 @@ impl Leaves {
             }
             let place = [0, 1, 2].map(|a| centre[a] + offset[a] * edge);
             let other = self.at(medium, place)?;
-            let weight = narrow(0.5_f64.powf(distance)) * across;
-            (other != leaf && weight > 1e-3).then_some((other, weight))
+            let (a, b) =
+                (own.depth / narrow(edge), self.list[other].depth / narrow(real(self.list[other].edge)));
+            let alike = (a.min(b) / a.max(b).max(1e-30)).powi(4);
+            let weight = narrow(0.5_f64.powf(distance)) * across * alike;
+            (other != leaf && weight > 1e-2).then_some((other, weight))
         })
     }
 

@@ -16,8 +16,8 @@ pub(super) struct Sight<const N: usize> {
     pub(super) emission: Vec<[Lane; N]>,
     /// Emission along the straight sight, per channel.
     pub(super) direct: Vec<[Lane; N]>,
-    /// Noise of plate and channel 0: mean over groups of Σ weight · noise of the cache.
-    pub(super) noise: [f32; 2],
+    /// Noise of plate and channel 0: Σ weight · noise of the cache.
+    pub(super) noise: [[Lane; N]; 2],
     /// Sights added.
     pub(super) count: usize,
 }
@@ -29,7 +29,7 @@ impl<const N: usize> Sight<N> {
             plate: [Lane::ZERO; N],
             emission: vec![[Lane::ZERO; N]; channels],
             direct: vec![[Lane::ZERO; N]; channels],
-            noise: [0.0; 2],
+            noise: [[Lane::ZERO; N]; 2],
             count: 0,
         }
     }
@@ -38,7 +38,7 @@ impl<const N: usize> Sight<N> {
     pub(super) fn clear(&mut self) {
         self.plate = [Lane::ZERO; N];
         self.emission.iter_mut().chain(&mut self.direct).for_each(|row| *row = [Lane::ZERO; N]);
-        self.noise = [0.0; 2];
+        self.noise = [[Lane::ZERO; N]; 2];
         self.count = 0;
     }
 
@@ -81,13 +81,11 @@ impl<const N: usize> Sight<N> {
                         row[n].add_product(weight[n], source[n]);
                     }
                 }
-                let mut share = Lane::ZERO;
                 for n in 0..N {
-                    share.add_product(weight[n], medium.albedo[o][n]);
+                    let share = weight[n] * medium.albedo[o][n];
+                    self.noise[0][n].add_product(share, scattered.noise[o][0][n]);
+                    self.noise[1][n].add_product(share, scattered.noise[o][1][n]);
                 }
-                let share = share.sum();
-                self.noise[0] += share * scattered.noise[o][0];
-                self.noise[1] += share * scattered.noise[o][1];
             }
             // Smallest normal number of f32: beyond it nothing can be seen.
             most.0.iter().fold(0.0_f32, |a, &b| a.max(b)) > 1e-30
@@ -101,26 +99,13 @@ impl<const N: usize> Sight<N> {
     }
 }
 
-/// Noise of one sight from group means alone: what the sampling loop needs to decide when to stop.
-pub(super) fn noise_along<const N: usize>(
-    medium: &Packed<N>,
-    noise: &[[f32; 2]],
-    plate: Option<&Plate>,
-    ray: (Vector, Vector),
-) -> [f64; 2] {
-    let (origin, direction) = ray;
-    let far = plate.and_then(|p| p.hit(origin, direction)).unwrap_or(f64::INFINITY);
-    let mut through = 1.0_f64;
-    let mut sum = [0.0; 2];
-    medium.lattice.walk(origin, direction, far, |ordinal, t0, t1| {
-        let o = ordinal as usize;
-        let [k, scattering] = medium.mean_k[o].map(f64::from);
-        let e = (-k * (t1 - t0)).exp();
-        let share = if k > 0.0 { through * (1.0 - e) * scattering / k } else { 0.0 };
-        sum[0] += share * f64::from(noise[o][0]);
-        sum[1] += share * f64::from(noise[o][1]);
-        through *= e;
-        through > 1e-9
-    });
-    sum
+impl<const N: usize> Sight<N> {
+    /// Rms noise over the groups, of plate and channel 0.
+    pub(super) fn noise_rms(&self, groups: usize) -> [f32; 2] {
+        let scale = 1.0 / super::packed::narrow(self.count.max(1) as f64);
+        self.noise.map(|rows| {
+            let square: f32 = rows.iter().map(|lane| lane.map(|v| v * v).sum()).sum();
+            (square / super::packed::narrow(groups as f64)).sqrt() * scale
+        })
+    }
 }

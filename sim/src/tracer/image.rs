@@ -7,7 +7,7 @@
 use super::cache::{Cache, Leaves, PhaseLanes, World};
 use super::camera::{Camera, PixelFilter, Sights};
 use super::error::TracerError;
-use super::gather::{Sight, noise_along};
+use super::gather::Sight;
 use super::lanes::Lane;
 use super::medium::GridMedium;
 use super::operator::Operator;
@@ -216,7 +216,7 @@ impl Job<'_> {
             groups: self.medium.groups,
             seed: self.options.seed,
         };
-        let mut cache = Cache::new(&leaves, self.medium.channels);
+        let mut cache = Cache::<N>::new(&leaves, self.medium.channels);
         let mut sums = vec![[Lane::ZERO; N]; leaves.list.len() * cache.rows];
         let mut wanted = FIRST_PATHS_PER_LEAF * real(leaves.list.len());
         let mut rounds = 0;
@@ -247,17 +247,23 @@ impl Job<'_> {
 
     /// Rms noise over a part of the active pixels, the larger one of plate and medium.
     fn probe<const N: usize>(&self, fine: &Packed<N>, scattered: &Scattered<N>, active: &[Active]) -> f64 {
-        let probed: Vec<[f64; 2]> = active
+        let probed: Vec<[f32; 2]> = active
             .par_iter()
             .step_by(if active.len() > 64 * PROBE_STRIDE { PROBE_STRIDE } else { 1 })
             .map(|a| {
                 let (row, column) =
                     (a.pixel as usize / self.camera.columns, a.pixel as usize % self.camera.columns);
                 let ray = self.sights.ray(real(row) + 0.5, real(column) + 0.5);
-                noise_along(fine, &scattered.noise, self.plate, ray)
+                let mut sight = Sight::<N>::new(self.medium.channels);
+                pulp::Arch::new().dispatch(
+                    #[inline(always)]
+                    || sight.add(fine, Some(scattered), self.plate, ray),
+                );
+                sight.noise_rms(self.medium.groups)
             })
             .collect();
-        let mean = |k: usize| probed.iter().map(|n| n[k] * n[k]).sum::<f64>() / real(probed.len().max(1));
+        let square = |v: f32| f64::from(v) * f64::from(v);
+        let mean = |k: usize| probed.iter().map(|n| square(n[k])).sum::<f64>() / real(probed.len().max(1));
         mean(0).max(mean(1)).sqrt()
     }
 
@@ -312,7 +318,7 @@ impl Job<'_> {
                         &mut plates[i * groups..(i + 1) * groups],
                         &mut emissions[i * wide..i * wide + groups],
                     );
-                    noise.push(sight.noise.map(|v| v * share / narrow(real(groups))));
+                    noise.push(sight.noise_rms(groups));
                 }
                 noise
             })

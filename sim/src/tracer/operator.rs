@@ -27,9 +27,9 @@ pub struct Operator {
     pub emission: Vec<f32>,
     /// Emission along the straight sight only, extinction applied, no in-scattering: `[active pixel][channel][group]`.
     pub direct: Vec<f32>,
-    /// Estimated standard error of a_plate, `[active pixel]`, mean over groups.
+    /// Estimated standard error of a_plate, `[active pixel]`, rms over groups.
     pub error_plate: Vec<f32>,
-    /// Estimated standard error of a_medium, `[active pixel]`, mean over groups.
+    /// Estimated standard error of a_medium, `[active pixel]`, rms over groups.
     pub error_medium: Vec<f32>,
     /// What was done and what was skipped.
     pub stats: Vec<(String, f64)>,

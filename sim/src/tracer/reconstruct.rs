@@ -2,7 +2,7 @@
 
 #![expect(clippy::needless_range_loop, reason = "loops over lanes step through several arrays at once")]
 
-use super::cache::{Cache, Leaves, ROWS_BEFORE_CHANNELS};
+use super::cache::{Cache, Halves, Leaves, ROWS_BEFORE_CHANNELS};
 use super::lanes::Lane;
 use super::packed::Packed;
 use rayon::prelude::*;
@@ -13,15 +13,15 @@ pub(super) struct Scattered<const N: usize> {
     pub(super) value: Vec<[Lane; N]>,
     /// Rows per cell.
     pub(super) rows: usize,
-    /// Half the difference of the two halves of the samples, plate and channel 0, mean over groups, `[cell]`.
-    pub(super) noise: Vec<[f32; 2]>,
+    /// Half the difference of the two halves of the samples, plate and channel 0, `[cell]`.
+    pub(super) noise: Vec<[[Lane; N]; 2]>,
 }
 
 /// The source function of every occupied cell from the cache's sums.
 pub(super) fn per_cell<const N: usize>(
     medium: &Packed<N>,
     leaves: &Leaves,
-    cache: &Cache,
+    cache: &Cache<N>,
     sums: &[[Lane; N]],
 ) -> Scattered<N> {
     let filtered = filter(medium, leaves, cache, sums);
@@ -36,7 +36,7 @@ pub(super) fn per_cell<const N: usize>(
         .with_min_len(256)
         .map(|(ordinal, (value, &cell))| {
             let mut sum = vec![[Lane::ZERO; N]; cache.rows];
-            let mut halves = [[0.0_f32; 3]; 2];
+            let mut halves = [[[Lane::ZERO; N]; 3]; 2];
             for (leaf, weight) in leaves.around(medium, ordinal, cell) {
                 for (to, from) in
                     sum.iter_mut().zip(&filtered.sums[leaf * cache.rows..(leaf + 1) * cache.rows])
@@ -66,37 +66,39 @@ fn divide<const N: usize>(value: &mut [[Lane; N]], sum: &[[Lane; N]]) {
     }
 }
 
-fn add_halves(to: &mut [[f32; 3]; 2], from: &[[f32; 3]; 2], weight: f32) {
-    for (to, from) in to.iter_mut().zip(from) {
-        for (to, from) in to.iter_mut().zip(from) {
-            *to += weight * from;
+fn add_halves<const N: usize>(to: &mut Halves<N>, from: &Halves<N>, weight: f32) {
+    for (to, from) in to.iter_mut().flatten().zip(from.iter().flatten()) {
+        for n in 0..N {
+            to[n] = to[n] + from[n].map(|v| weight * v);
         }
     }
 }
 
 /// (A − B)/2 of plate and channel 0; half the value where one half has no samples.
-fn half_difference(halves: &[[f32; 3]; 2]) -> [f32; 2] {
-    let [a, b] = halves.map(|h| {
-        let total = h[0] + h[1] + h[2];
-        if total > 0.0 { Some([h[0] / total, h[2] / total]) } else { None }
-    });
-    match (a, b) {
-        (Some(a), Some(b)) => [0.5 * (a[0] - b[0]), 0.5 * (a[1] - b[1])],
-        (Some(one), None) | (None, Some(one)) => one.map(|v| 0.5 * v),
-        (None, None) => [0.5; 2],
+fn half_difference<const N: usize>(halves: &Halves<N>) -> [[Lane; N]; 2] {
+    let mut out = [[Lane::ZERO; N]; 2];
+    for n in 0..N {
+        let [a, b] = [0, 1].map(|h: usize| halves[h][0][n] + halves[h][1][n] + halves[h][2][n]);
+        for (k, row) in [0, 2].into_iter().enumerate() {
+            let share = |h: usize, total: Lane| {
+                halves[h][row][n].zip(total, |v, t| if t > 0.0 { v / t } else { 0.0 })
+            };
+            out[k][n] = (share(0, a) - share(1, b)).map(|v| 0.5 * v);
+        }
     }
+    out
 }
 
 struct Filtered<const N: usize> {
     sums: Vec<[Lane; N]>,
-    halves: Vec<[[f32; 3]; 2]>,
+    halves: Vec<Halves<N>>,
 }
 
 /// Adds to each leaf the samples of its neighbours, weighted by how near they are in space and optical depth.
 fn filter<const N: usize>(
     medium: &Packed<N>,
     leaves: &Leaves,
-    cache: &Cache,
+    cache: &Cache<N>,
     sums: &[[Lane; N]],
 ) -> Filtered<N> {
     let mut out = vec![[Lane::ZERO; N]; sums.len()];
@@ -105,7 +107,7 @@ fn filter<const N: usize>(
         .enumerate()
         .with_min_len(64)
         .map(|(leaf, out)| {
-            let mut halves = [[0.0_f32; 3]; 2];
+            let mut halves = [[[Lane::ZERO; N]; 3]; 2];
             for (other, weight) in leaves.neighbours(medium, leaf) {
                 for (to, from) in out.iter_mut().zip(&sums[other * cache.rows..(other + 1) * cache.rows]) {
                     for n in 0..N {
@@ -115,11 +117,12 @@ fn filter<const N: usize>(
                 add_halves(&mut halves, &cache.halves[other], weight);
             }
             // Back to sums that count a leaf's own visits, so that interpolation weights leaves equally.
-            let total: f32 = halves.iter().map(|h| h.iter().sum::<f32>()).sum::<f32>();
+            let total: f32 = halves.iter().flatten().flatten().map(|lane| lane.sum()).sum();
             if total > 0.0 {
-                out.iter_mut()
-                    .for_each(|row| row.iter_mut().for_each(|lane| *lane = lane.map(|v| v / total)));
-                halves.iter_mut().for_each(|h| h.iter_mut().for_each(|v| *v /= total));
+                let scale =
+                    |row: &mut [Lane; N]| row.iter_mut().for_each(|lane| *lane = lane.map(|v| v / total));
+                out.iter_mut().for_each(scale);
+                halves.iter_mut().flatten().for_each(scale);
             }
             halves
         })

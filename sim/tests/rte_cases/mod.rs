@@ -2,6 +2,8 @@
 //!
 //! The tables stand in `tests/data/rte` with their origin in its README; none was made with this tracer.
 
+#![expect(unreachable_pub, reason = "shared by a test and a bench")]
+
 use ditd_sim::light::phase::{PhaseFunction, PhaseTable};
 use ditd_sim::tracer::medium::GridMedium;
 use ditd_sim::tracer::plate::{Plate, PlateShape};
