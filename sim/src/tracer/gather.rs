@@ -73,12 +73,26 @@ impl<const N: usize> Sight<N> {
             }
             if let Some(scattered) = scattered {
                 let rows = &scattered.value[o * scattered.rows..(o + 1) * scattered.rows];
-                for n in 0..N {
-                    self.plate[n].add_product(weight[n], rows[0][n]);
-                }
-                for (row, source) in self.emission.iter_mut().zip(&rows[1..]) {
+                if scattered.slope.is_empty() {
                     for n in 0..N {
-                        row[n].add_product(weight[n], source[n]);
+                        self.plate[n].add_product(weight[n], rows[0][n]);
+                    }
+                } else {
+                    let middle = super::vector::along(origin, 0.5 * (t0 + t1), direction);
+                    let [x, y, z] = medium.lattice.offset(middle);
+                    let slopes = &scattered.slope[3 * o * scattered.rows..3 * (o + 1) * scattered.rows];
+                    let (along_x, rest) = slopes.split_at(scattered.rows);
+                    let (along_y, along_z) = rest.split_at(scattered.rows);
+                    for (r, row) in rows.iter().enumerate() {
+                        let to = if r == 0 { &mut self.plate } else { &mut self.emission[r - 1] };
+                        for n in 0..N {
+                            let here = row[n]
+                                + along_x[r][n].map(|v| v * x)
+                                + along_y[r][n].map(|v| v * y)
+                                + along_z[r][n].map(|v| v * z);
+                            // A steep slope must not make light negative.
+                            to[n].add_product(weight[n], here.map(|v| v.max(0.0)));
+                        }
                     }
                 }
                 for n in 0..N {

@@ -11,6 +11,8 @@ use rayon::prelude::*;
 pub(super) struct Scattered<const N: usize> {
     /// Rows per cell: plate, then the channels; J per group, `[cell · rows + row]`.
     pub(super) value: Vec<[Lane; N]>,
+    /// Change of the rows per cell edge along x, y, z, `[(cell · 3 + axis) · rows + row]`.
+    pub(super) slope: Vec<[Lane; N]>,
     /// Rows per cell.
     pub(super) rows: usize,
     /// Half the difference of the two halves of the samples, plate and channel 0, `[cell]`.
@@ -51,7 +53,7 @@ pub(super) fn per_cell<const N: usize>(
             half_difference(&halves)
         })
         .collect();
-    Scattered { value, rows, noise }
+    Scattered { value, slope: Vec::new(), rows, noise }
 }
 
 /// Divides plate and channels by plate + walls + channel 0, group by group.
@@ -149,8 +151,10 @@ fn places<const N: usize>(medium: &Packed<N>) -> Vec<[u16; 3]> {
 }
 
 impl<const N: usize> Scattered<N> {
-    /// Turns J into what the gather adds: albedo · J for the plate, source + albedo · J for the channels.
+    /// Turns J into what the gather adds: albedo · J for the plate, source + albedo · J for the channels; and finds the
+    /// slopes of albedo · J from the neighbouring cells, since sights through the same cell see different J.
     pub(super) fn times_albedo(&mut self, medium: &Packed<N>) {
+        self.slope = self.slopes(medium);
         let channels = medium.channels;
         self.value.par_chunks_mut(self.rows).enumerate().with_min_len(256).for_each(|(o, rows)| {
             for n in 0..N {
@@ -161,5 +165,37 @@ impl<const N: usize> Scattered<N> {
                 }
             }
         });
+    }
+
+    /// Central differences of J times albedo; one-sided at the rim of the medium.
+    fn slopes(&self, medium: &Packed<N>) -> Vec<[Lane; N]> {
+        let lattice = &medium.lattice;
+        let cells = lattice.cells;
+        let rows = self.rows;
+        let mut slope = vec![[Lane::ZERO; N]; 3 * self.value.len()];
+        let places = places(medium);
+        slope.par_chunks_mut(3 * rows).zip(places.par_iter()).enumerate().with_min_len(256).for_each(
+            |(o, (slope, place))| {
+                let at = |axis: usize, step: isize| {
+                    let mut c = place.map(usize::from);
+                    c[axis] = c[axis].checked_add_signed(step).filter(|&i| i < cells[axis])?;
+                    let ordinal = lattice.index[(c[0] * cells[1] + c[1]) * cells[2] + c[2]];
+                    (ordinal != super::medium::EMPTY).then_some(ordinal as usize)
+                };
+                for axis in 0..3 {
+                    let (below, above) = (at(axis, -1), at(axis, 1));
+                    let share = if below.is_some() && above.is_some() { 0.5 } else { 1.0 };
+                    let (low, high) = (below.unwrap_or(o), above.unwrap_or(o));
+                    for row in 0..rows {
+                        for n in 0..N {
+                            let change = self.value[high * rows + row][n] - self.value[low * rows + row][n];
+                            slope[axis * rows + row][n] =
+                                change.zip(medium.albedo[o][n], |c, albedo| share * c * albedo);
+                        }
+                    }
+                }
+            },
+        );
+        slope
     }
 }
