@@ -15,7 +15,7 @@ pub fn absorbed(tau: f64) -> f64 {
 pub fn far_weight(tau: f64) -> f64 {
     if tau < SERIES_BELOW {
         // Σ (−1)^(k+1) τ^k k/(k+1)!
-        return series(tau, |k| f64::from(k));
+        return series(tau, f64::from);
     }
     if tau.is_infinite() { 0.0 } else { absorbed(tau) / tau - (-tau).exp() }
 }
