@@ -105,7 +105,8 @@ impl Block {
                 for Picture { caption, png } in pictures {
                     let caption = escape(caption);
                     let source = base64(png);
-                    *out += &format!("<figure><img alt=\"{caption}\" src=\"data:image/png;base64,{source}\">");
+                    *out +=
+                        &format!("<figure><img alt=\"{caption}\" src=\"data:image/png;base64,{source}\">");
                     *out += &format!("<figcaption>{caption}</figcaption></figure>\n");
                 }
                 *out += "</div>\n";

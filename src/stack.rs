@@ -159,8 +159,8 @@ impl Stack {
     /// When a file is missing, cannot be understood, or the number and shape of frames do not fit `case.json`.
     pub fn open(dir: &Path) -> Result<Self, StackError> {
         let path = dir.join("case.json");
-        let text = std::fs::read_to_string(&path)
-            .map_err(|source| StackError::Io { path: path.clone(), source })?;
+        let text =
+            std::fs::read_to_string(&path).map_err(|source| StackError::Io { path: path.clone(), source })?;
         let case: Case = serde_json::from_str(&text)
             .map_err(|e| StackError::Case { path: path.clone(), reason: e.to_string() })?;
         check(&case).map_err(|reason| StackError::Case { path, reason })?;
@@ -221,13 +221,8 @@ impl Stack {
     /// When frames cannot be read or a level has too many.
     pub fn fit(&mut self, inputs: &FitInputs<'_>) -> Result<Fitted, StackError> {
         let mut levels = self.empty_summaries(inputs);
-        let mut sums = Sums::new(
-            levels.len(),
-            self.spray.rows,
-            self.spray.columns,
-            1,
-            self.case.saturation_count,
-        )?;
+        let mut sums =
+            Sums::new(levels.len(), self.spray.rows, self.spray.columns, 1, self.case.saturation_count)?;
         let saturation = self.case.saturation_count;
         self.for_each_pair(|level, _, spray, blank| {
             if spray.iter().chain(blank).any(|&count| count >= saturation) {
@@ -291,7 +286,11 @@ impl Stack {
             let missed = gate::misfires(scores).into_iter().zip(scores).enumerate();
             missed
                 .filter(|(_, (missed, _))| *missed)
-                .map(|(cycle, (_, &score))| Rejected { cycle, reason: "misfire: no spray in the frame", score })
+                .map(|(cycle, (_, &score))| Rejected {
+                    cycle,
+                    reason: "misfire: no spray in the frame",
+                    score,
+                })
                 .collect()
         };
         Ok(scores.iter().map(reject).collect())

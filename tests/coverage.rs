@@ -5,6 +5,8 @@
 //! blocks of 4 × 4 pixels, read and shot noise, rounding to integers. Truth is the ensemble's: E[ε] and the
 //! temperature of E[εS]/E[ε], by quadrature.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
+
 use ditd::estimate::accumulate::Sums;
 use ditd::estimate::calibration::SakumaHattori;
 use ditd::estimate::map::{CameraNoise, DitMap, Estimator, FitInputs, solve};

@@ -87,7 +87,10 @@ pub fn run(args: Args) -> CommandResult {
 
 /// Refits a run folder from its journal and frames.
 fn fit_run(args: &Args) -> CommandResult {
-    Err(CommandError::failure(format!("fit {}: refitting a run folder is not there yet", args.path.display())))
+    Err(CommandError::failure(format!(
+        "fit {}: refitting a run folder is not there yet",
+        args.path.display()
+    )))
 }
 
 fn fit_stack(args: &Args) -> CommandResult {
@@ -161,7 +164,8 @@ fn readable(fitted: &Fitted, out: &Path) -> String {
         let plate = level.plate_temperature_k.map_or_else(|| "-".into(), |t| format!("{t:.2} K"));
         text += &format!("  plate {plate:>10}  cycles {:3}  accepted {:3}", level.cycles, level.accepted);
         for rejected in &level.rejected {
-            text += &format!("  [cycle {}: {}, score {:.2}]", rejected.cycle, rejected.reason, rejected.score);
+            text +=
+                &format!("  [cycle {}: {}, score {:.2}]", rejected.cycle, rejected.reason, rejected.score);
         }
         text += "\n";
     }

@@ -25,7 +25,9 @@ pub enum AccumulateError {
         expected: usize,
     },
     /// a frame has {given} pixels where {expected} are expected. Check the camera's region of interest.
-    #[error("a frame has {given} pixels where {expected} are expected. Check the camera's region of interest.")]
+    #[error(
+        "a frame has {given} pixels where {expected} are expected. Check the camera's region of interest."
+    )]
     Pixels {
         /// Pixels handed in.
         given: usize,
@@ -390,13 +392,17 @@ pub fn variance(sum: i64, sum_squares: u64, count: u32, blanks: u16) -> f64 {
     if count < 2 {
         return f64::NAN;
     }
-    let n = i128::from(count);
-    let b = f64::from(blanks);
-    // nΣY² − (ΣY)² is an exact integer below 2⁹⁶: no cancellation, whatever the mean.
-    let spread = n * i128::from(sum_squares) - i128::from(sum) * i128::from(sum);
+    // nΣY² − (ΣY)² is an exact integer below 2⁹⁶: no cancellation, whatever the mean. One rounding, so both ways
+    // give the same bits; the short one serves all but the longest campaigns.
+    let short = sum_squares.leading_zeros() + count.leading_zeros() >= 33 && sum.unsigned_abs() < 1 << 31;
     #[expect(clippy::cast_precision_loss, reason = "one rounding of the exact result")]
-    let spread = spread as f64;
-    spread / (f64::from(count) * f64::from(count - 1)) / (b * b)
+    let spread = if short {
+        (u64::from(count) * sum_squares - sum.unsigned_abs() * sum.unsigned_abs()) as f64
+    } else {
+        (i128::from(count) * i128::from(sum_squares) - i128::from(sum) * i128::from(sum)) as f64
+    };
+    let b = f64::from(blanks);
+    spread / (f64::from(count) * f64::from(count - 1) * (b * b))
 }
 
 #[cfg(test)]
@@ -443,7 +449,8 @@ mod tests {
             let (rows, columns, saturation) = (7, 1301, 15_000);
             let cycles: Vec<_> = (0..6_u64)
                 .map(|c| {
-                    let dark = (0..u64::from(blanks)).map(|b| frame(100 * c + b + 1, rows * columns)).collect();
+                    let dark =
+                        (0..u64::from(blanks)).map(|b| frame(100 * c + b + 1, rows * columns)).collect();
                     (dark, frame(1000 + c, rows * columns))
                 })
                 .collect();
@@ -457,12 +464,8 @@ mod tests {
             assert!(forward == other);
             for pixel in [0, 5, 8191, 8192, rows * columns - 1] {
                 let level = &forward.levels()[0];
-                let got = (
-                    level.sum[pixel],
-                    level.sum_squares[pixel],
-                    level.sum_blanks[pixel],
-                    level.count[pixel],
-                );
+                let got =
+                    (level.sum[pixel], level.sum_squares[pixel], level.sum_blanks[pixel], level.count[pixel]);
                 assert_eq!(got, slow(&cycles, pixel, saturation));
                 assert_eq!(level.saturated(pixel), 6 - level.count[pixel]);
             }
@@ -487,7 +490,9 @@ mod tests {
         assert_eq!(level.sum[0], 1000 * 256 * 65_534);
         assert_eq!(level.sum[1], -1000 * 256 * 65_534);
         assert!(mean(level.sum[1], 1000, BLANKS_MAX).to_bits() == (-65_534.0_f64).to_bits());
-        assert!(variance(level.sum[1], level.sum_squares[1], 1000, BLANKS_MAX).to_bits() == 0.0_f64.to_bits());
+        assert!(
+            variance(level.sum[1], level.sum_squares[1], 1000, BLANKS_MAX).to_bits() == 0.0_f64.to_bits()
+        );
         assert!(sums.cycles_max() >= 65_536);
     }
 
@@ -495,27 +500,18 @@ mod tests {
     fn wrong_cycles_are_refused() {
         let mut sums = Sums::new(2, 1, 2, 2, 16_383).unwrap();
         let f = [1_u16, 2];
-        assert_eq!(
-            sums.add_cycle(0, &[&f], &f),
-            Err(AccumulateError::Blanks { given: 1, expected: 2 })
-        );
+        assert_eq!(sums.add_cycle(0, &[&f], &f), Err(AccumulateError::Blanks { given: 1, expected: 2 }));
         assert_eq!(
             sums.add_cycle(0, &[&f, &f], &f[..1]),
             Err(AccumulateError::Pixels { given: 1, expected: 2 })
         );
-        assert_eq!(
-            sums.add_cycle(2, &[&f, &f], &f),
-            Err(AccumulateError::Level { level: 2, levels: 2 })
-        );
+        assert_eq!(sums.add_cycle(2, &[&f, &f], &f), Err(AccumulateError::Level { level: 2, levels: 2 }));
         assert_eq!(sums.remove_cycle(0, &[&f, &f], &f), Err(AccumulateError::Empty { level: 0 }));
         assert_eq!(Sums::new(1, 1, 1, 0, 1), Err(AccumulateError::BlanksPerCycle { blanks: 0 }));
         let unlike = Sums::new(2, 1, 2, 3, 16_383).unwrap();
         assert_eq!(sums.merge(&unlike), Err(AccumulateError::Unlike));
         let full = sums.cycles_max();
         sums.levels[1].cycles = full;
-        assert_eq!(
-            sums.add_cycle(1, &[&f, &f], &f),
-            Err(AccumulateError::Full { level: 1, cycles: full })
-        );
+        assert_eq!(sums.add_cycle(1, &[&f, &f], &f), Err(AccumulateError::Full { level: 1, cycles: full }));
     }
 }

@@ -184,7 +184,10 @@ pub enum CalibrationError {
 /// # Errors
 ///
 /// When points are fewer than parameters, not finite, or do not follow any rising curve.
-pub fn fit_curve(points: &[CalibrationPoint], offset: OffsetMode) -> Result<CalibrationFit, CalibrationError> {
+pub fn fit_curve(
+    points: &[CalibrationPoint],
+    offset: OffsetMode,
+) -> Result<CalibrationFit, CalibrationError> {
     check(points, offset)?;
     let start = start(points, offset).ok_or(CalibrationError::NotABlackBody)?;
     let (best, iterations) = descend(points, start);
@@ -258,11 +261,8 @@ impl Parameters {
         let w_new = w * libm::exp(step[1]);
         let a_new = a_um + step[2];
         let ratio = libm::exp(step[0]) * libm::expm1(C2_UM_K / w_new) / libm::expm1(C2_UM_K / w);
-        let curve = SakumaHattori {
-            a_counts: a_counts * ratio,
-            a_um: a_new,
-            b_um_k: w_new - a_new * self.pivot_k,
-        };
+        let curve =
+            SakumaHattori { a_counts: a_counts * ratio, a_um: a_new, b_um_k: w_new - a_new * self.pivot_k };
         Self { curve, offset_counts: self.offset_counts + step[3], ..*self }
     }
 
@@ -276,12 +276,7 @@ impl Parameters {
         let here = (1.0 + counts / a_counts) * C2_UM_K / (w * w);
         let there = (1.0 + self.curve.value(self.pivot_k) / a_counts) * C2_UM_K / (pivot * pivot);
         let offset = if self.free_offset { 1.0 } else { 0.0 };
-        [
-            counts,
-            counts * (here - there) * pivot,
-            counts * here * (temperature_k - self.pivot_k),
-            offset,
-        ]
+        [counts, counts * (here - there) * pivot, counts * here * (temperature_k - self.pivot_k), offset]
     }
 }
 
@@ -384,8 +379,7 @@ fn linearised(points: &[CalibrationPoint], at: &Parameters) -> (Vec<[f64; 4]>, V
 /// Least-squares step of the rows extended by √damping · column norm.
 fn damped_step(rows: &[[f64; 4]], residuals: &[f64], damping: f64) -> [f64; 4] {
     let norms = column_norms(rows);
-    let mut all: Vec<[f64; 4]> =
-        rows.iter().map(|row| std::array::from_fn(|j| row[j] / norms[j])).collect();
+    let mut all: Vec<[f64; 4]> = rows.iter().map(|row| std::array::from_fn(|j| row[j] / norms[j])).collect();
     let mut right = residuals.to_vec();
     for j in 0..4 {
         let mut row = [0.0; 4];
@@ -477,16 +471,17 @@ fn covariance(points: &[CalibrationPoint], at: &Parameters) -> [[f64; 4]; 4] {
 
 /// Inverse of an upper triangle; rows of absent parameters are zero.
 fn upper_inverse(r: &[[f64; 4]; 4]) -> [[f64; 4]; 4] {
-    let mut inverse = [[0.0; 4]; 4];
-    for column in 0..4 {
+    // By columns: column c solves R·z = e_c from below.
+    let columns: [[f64; 4]; 4] = std::array::from_fn(|column| {
+        let mut z = [0.0; 4];
         for i in (0..=column).rev() {
             let unit = if i == column { 1.0 } else { 0.0 };
-            let above: f64 = (i + 1..=column).map(|k| r[i][k] * inverse[k][column]).sum();
-            let pivot = r[i][i];
-            inverse[i][column] = if pivot > 1e-12 { (unit - above) / pivot } else { 0.0 };
+            let above: f64 = (i + 1..=column).map(|k| r[i][k] * z[k]).sum();
+            z[i] = if r[i][i] > 1e-12 { (unit - above) / r[i][i] } else { 0.0 };
         }
-    }
-    inverse
+        z
+    });
+    std::array::from_fn(|row| columns.map(|column| column[row]))
 }
 
 /// How today's counts follow from the standard curve: counts = gain · I_standard(T) + offset (the paper's mapping).
@@ -525,8 +520,7 @@ pub fn map_on_standard(
     standard: &SakumaHattori,
     current: &[CalibrationPoint],
 ) -> Result<CurveMapping, CalibrationError> {
-    let bad =
-        |p: &CalibrationPoint| !(p.sigma_counts > 0.0 && p.counts.is_finite() && p.temperature_k > 0.0);
+    let bad = |p: &CalibrationPoint| !(p.sigma_counts > 0.0 && p.counts.is_finite() && p.temperature_k > 0.0);
     if let Some(index) = current.iter().position(bad) {
         return Err(CalibrationError::BadPoint { index });
     }
@@ -535,7 +529,7 @@ pub fn map_on_standard(
     let w: Vec<f64> = current.iter().map(|p| 1.0 / (p.sigma_counts * p.sigma_counts)).collect();
     let line = super::line::weighted(&x, &y, &w)
         .ok_or(CalibrationError::TooFewPoints { given: current.len(), needed: 2 })?;
-    if !(line.slope > 0.0) {
+    if line.slope.is_nan() || line.slope <= 0.0 {
         return Err(CalibrationError::NotABlackBody);
     }
     let c = line.covariance();
@@ -580,7 +574,9 @@ mod tests {
             let slope = (TRUTH.value(t + h) - TRUTH.value(t - h)) / (2.0 * h);
             assert!((TRUTH.derivative(t) / slope - 1.0).abs() < 1e-8);
         }
-        assert!(TRUTH.inverse(0.0).is_nan() && TRUTH.inverse(-1.0).is_nan() && TRUTH.inverse(f64::NAN).is_nan());
+        assert!(
+            TRUTH.inverse(0.0).is_nan() && TRUTH.inverse(-1.0).is_nan() && TRUTH.inverse(f64::NAN).is_nan()
+        );
     }
 
     /// Ten noise-free points of the exact form: well below the 1.2 mK that other filters leave.

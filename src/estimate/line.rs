@@ -82,8 +82,7 @@ pub fn weighted(x: &[f64], y: &[f64], w: &[f64]) -> Option<Line> {
         sxx += w * dx * dx;
         sxy += w * dx * ((y - y0) - centre_y);
     }
-    // Written so that NaN fails.
-    if !(sxx > SPREAD_MIN * weight) {
+    if sxx.is_nan() || weight.is_nan() || sxx <= SPREAD_MIN * weight {
         return None;
     }
     let slope = sxy / sxx;
@@ -160,7 +159,7 @@ impl Line {
         let c = mean * mean - t2 * v_mean;
         let inner = v_mean * slope * slope + v_slope * mean * mean - 2.0 * slope * mean * cross;
         let discriminant = t2 * (inner - t2 * (v_mean * v_slope - cross * cross));
-        if !(discriminant >= 0.0) || !a.is_finite() || a.abs() < f64::MIN_POSITIVE {
+        if discriminant.is_nan() || discriminant < 0.0 || !a.is_finite() || a.abs() < f64::MIN_POSITIVE {
             return Fieller::WholeLine;
         }
         // Both roots from the sum of like signs.

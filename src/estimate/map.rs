@@ -248,10 +248,19 @@ pub fn solve(sums: &Sums, inputs: &FitInputs<'_>) -> DitMap {
         Estimator::Default => Pools::of(&statistics, sums.rows(), sums.columns()),
         Estimator::Paper | Estimator::Ols => Pools::default(),
     };
-    let plate = plate_gain_limit(&statistics, inputs);
+    let gains = gains(&statistics, inputs);
+    let plate = plate_gain_limit(&gains);
     let quantiles = Quantiles::new(inputs.confidence);
-    let solver = Solver { inputs, statistics: &statistics, pools: &pools, plate, quantiles: &quantiles };
-    let mut planes: [Vec<f64>; CHANNELS.len()] = std::array::from_fn(|_| vec![f64::NAN; pixels]);
+    let solver = Solver {
+        inputs,
+        statistics: &statistics,
+        pools: &pools,
+        gains: &gains,
+        plate,
+        quantiles: &quantiles,
+    };
+    // Zeroed, not NaN: such memory is only touched by the threads that fill it. Every value is written.
+    let mut planes: [Vec<f64>; CHANNELS.len()] = std::array::from_fn(|_| vec![0.0; pixels]);
     let mut flags = vec![0_u32; pixels];
     let columns = sums.columns().max(1);
     by_row(&mut planes, &mut flags, columns).into_par_iter().enumerate().for_each(|(row, mut out)| {
@@ -300,7 +309,7 @@ pub fn solve(sums: &Sums, inputs: &FitInputs<'_>) -> DitMap {
         temperature_high_k,
         gain,
         sigma_gain,
-        count: sums.levels().iter().flat_map(|level| level.count.iter().copied()).collect(),
+        count: sums.levels().iter().map(|level| level.count.as_slice()).collect::<Vec<_>>().concat(),
         flags,
     }
 }
@@ -523,20 +532,25 @@ fn pool(values: &[f64], weights: &[f64], rows: usize, columns: usize, radius: us
     out
 }
 
+/// Gain and its standard deviation of every pixel.
+fn gains(statistics: &Statistics, inputs: &FitInputs<'_>) -> Vec<(f64, f64)> {
+    (0..statistics.flags.len())
+        .into_par_iter()
+        .with_min_len(1024)
+        .map_init(Pixel::default, |pixel, i| gain(statistics, inputs, i, pixel))
+        .collect()
+}
+
 /// Gain below which a pixel does not see the plate: half of the 90th percentile of all pixels, if the blanks follow
 /// the plate clearly at all. None when that cannot be told.
-fn plate_gain_limit(statistics: &Statistics, inputs: &FitInputs<'_>) -> Option<f64> {
-    let pixels = statistics.flags.len();
-    let mut gains: Vec<(f64, f64)> = (0..pixels)
-        .into_par_iter()
-        .map_init(Pixel::default, |pixel, i| gain(statistics, inputs, i, pixel))
-        .filter(|(gain, _)| gain.is_finite())
-        .collect();
-    if gains.is_empty() {
+fn plate_gain_limit(gains: &[(f64, f64)]) -> Option<f64> {
+    let mut finite: Vec<(f64, f64)> = gains.iter().copied().filter(|(gain, _)| gain.is_finite()).collect();
+    if finite.is_empty() {
         return None;
     }
-    let place = (gains.len() - 1) * 9 / 10;
-    let (_, &mut (high, sigma), _) = gains.select_nth_unstable_by(place, |a, b| a.0.total_cmp(&b.0));
+    let place = (finite.len() - 1) * 9 / 10;
+    let order = |a: &(f64, f64), b: &(f64, f64)| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1));
+    let (_, &mut (high, sigma), _) = finite.select_nth_unstable_by(place, order);
     // Six standard deviations of one pixel, so that noise alone masks none; NaN fails.
     (high > 6.0 * sigma).then_some(0.5 * high)
 }
@@ -593,6 +607,7 @@ struct Solver<'a> {
     inputs: &'a FitInputs<'a>,
     statistics: &'a Statistics,
     pools: &'a Pools,
+    gains: &'a [(f64, f64)],
     plate: Option<f64>,
     quantiles: &'a Quantiles,
 }
@@ -612,7 +627,7 @@ impl Solver<'_> {
     fn pixel(&self, i: usize, pixel: &mut Pixel) -> ([f64; CHANNELS.len()], u32) {
         let mut values = [f64::NAN; CHANNELS.len()];
         let mut flags = self.statistics.flags[i];
-        let (gain, sigma_gain) = gain(self.statistics, self.inputs, i, pixel);
+        let (gain, sigma_gain) = self.gains[i];
         values[12] = gain;
         values[13] = sigma_gain;
         if self.plate.is_some_and(|limit| gain < limit) {
@@ -680,14 +695,7 @@ impl Solver<'_> {
         let t = self.quantiles.at((points - 2) as f64);
         let flags = if points == 2 { flag::NO_STATISTICS } else { 0 };
         let covariance = line.covariance_scaled(points);
-        Some(Fitted {
-            line,
-            covariance,
-            slope_variance: covariance.slope,
-            t_crossing: t,
-            t_slope: t,
-            flags,
-        })
+        Some(Fitted { line, covariance, slope_variance: covariance.slope, t_crossing: t, t_slope: t, flags })
     }
 
     fn paper(&self, pixel: &mut Pixel) -> Option<Fitted> {

@@ -4,11 +4,11 @@
 //! most one custom attribute, because several would be written in hash order.
 
 use super::FileError;
+use exr::meta::attribute::AttributeValue;
 use exr::prelude::{
     AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder,
     ReadChannels, ReadLayers, Text, WritableImage,
 };
-use exr::meta::attribute::AttributeValue;
 use std::io::Cursor;
 use std::path::Path;
 
@@ -48,11 +48,8 @@ pub fn exr_to_bytes(picture: &Picture) -> std::io::Result<Vec<u8>> {
             .ok_or_else(|| std::io::Error::other("the description is not plain text"))?;
         attributes.other.insert(Text::from(ATTRIBUTE), AttributeValue::Text(text));
     }
-    let encoding = Encoding {
-        compression: Compression::ZIP1,
-        line_order: LineOrder::Increasing,
-        ..Encoding::default()
-    };
+    let encoding =
+        Encoding { compression: Compression::ZIP1, line_order: LineOrder::Increasing, ..Encoding::default() };
     let encoding = Encoding { blocks: exr::image::Blocks::ScanLines, ..encoding };
     let layer = Layer::new(
         (picture.columns, picture.rows),

@@ -72,10 +72,8 @@ pub enum Style {
 
 /// A calibration: the curve, its points, and how far they are off is told by the bars.
 pub fn calibration(fit: &CalibrationFit, points: &[CalibrationPoint]) -> Plot {
-    let dots = points
-        .iter()
-        .map(|p| Point { x: p.temperature_k, y: p.counts, sigma: p.sigma_counts })
-        .collect();
+    let dots =
+        points.iter().map(|p| Point { x: p.temperature_k, y: p.counts, sigma: p.sigma_counts }).collect();
     let (low, high) = (fit.range.low_k, fit.range.high_k);
     let curve = (0..=120)
         .map(|i| low + (high - low) * f64::from(i) / 120.0)
@@ -131,10 +129,10 @@ pub fn plate_temperature(readings: &[(f64, f64)], set_points: &[(f64, f64)]) -> 
 }
 
 impl Plot {
-    /// The `<svg>` element. Without a finite point it says so.
+    /// The `<svg>` element as HTML takes it, without a name space. Without a finite point it says so.
     pub fn to_svg(&self) -> String {
         let mut out = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" \
+            "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" \
              height=\"{HEIGHT}\" font-family=\"system-ui,sans-serif\" font-size=\"12\" fill=\"#1c2430\">\n"
         );
         match Frame::around(self) {
@@ -160,7 +158,8 @@ struct Frame {
 
 impl Frame {
     fn around(plot: &Plot) -> Option<Self> {
-        let points = || plot.series.iter().flat_map(|s| &s.points).filter(|p| p.x.is_finite() && p.y.is_finite());
+        let points =
+            || plot.series.iter().flat_map(|s| &s.points).filter(|p| p.x.is_finite() && p.y.is_finite());
         points().next()?;
         let bar = |p: &Point| if p.sigma.is_finite() { p.sigma } else { 0.0 };
         let span = |low: f64, high: f64| {
@@ -208,7 +207,8 @@ impl Frame {
         }
         *out += &format!("<path d=\"M{LEFT} {TOP}V{bottom}H{right}\" stroke=\"#5b6675\" fill=\"none\"/>\n");
         let (x, y) = (0.5 * (LEFT + right), HEIGHT - 12.0);
-        *out += &format!("<text x=\"{x}\" y=\"{y}\" text-anchor=\"middle\">{}</text>\n", escape(&plot.x_label));
+        *out +=
+            &format!("<text x=\"{x}\" y=\"{y}\" text-anchor=\"middle\">{}</text>\n", escape(&plot.x_label));
         let y = 0.5 * (TOP + bottom);
         *out += &format!(
             "<text x=\"16\" y=\"{y}\" text-anchor=\"middle\" transform=\"rotate(-90 16 {y})\">{}</text>\n",
@@ -231,7 +231,8 @@ impl Frame {
                         pen = 'M';
                     }
                 }
-                *out += &format!("<path d=\"{path}\" stroke=\"{colour}\" stroke-width=\"1.8\" fill=\"none\"/>\n");
+                *out +=
+                    &format!("<path d=\"{path}\" stroke=\"{colour}\" stroke-width=\"1.8\" fill=\"none\"/>\n");
             }
             Style::Dots => {
                 for point in points.filter(|p| p.x.is_finite() && p.y.is_finite()) {
@@ -252,7 +253,8 @@ impl Frame {
     fn marks(&self, plot: &Plot, out: &mut String) {
         for (at, name) in plot.marks.iter().filter(|(at, _)| *at >= self.x.0 && *at <= self.x.1) {
             let (x, bottom) = (self.px(*at), HEIGHT - BOTTOM);
-            *out += &format!("<path d=\"M{x:.2} {TOP}V{bottom}\" stroke=\"#5b6675\" stroke-dasharray=\"4 4\"/>");
+            *out +=
+                &format!("<path d=\"M{x:.2} {TOP}V{bottom}\" stroke=\"#5b6675\" stroke-dasharray=\"4 4\"/>");
             let (x, y) = (x + 5.0, bottom - 8.0);
             *out += &format!("<text x=\"{x:.2}\" y=\"{y}\">{}</text>\n", escape(name));
         }
@@ -276,7 +278,8 @@ mod tests {
 
     #[test]
     fn plots_survive_nasty_values() {
-        let nasty = [Point { x: 1.0, y: f64::NAN, sigma: 1.0 }, Point { x: 2.0, y: 3.0, sigma: f64::INFINITY }];
+        let nasty =
+            [Point { x: 1.0, y: f64::NAN, sigma: 1.0 }, Point { x: 2.0, y: 3.0, sigma: f64::INFINITY }];
         for plot in [
             pixel_line(&nasty, 0.0, 1.0, "pixel"),
             pixel_line(&[], f64::NAN, 1.0, "pixel"),
