@@ -276,3 +276,37 @@ fn default_beats_the_other_weights_on_strong_scatter() {
     eprintln!("strong scatter, rmse of T: default {ours:.3} K, paper {paper:.3} K, ols {ols:.3} K");
     assert!(ours < 2.5 && ours < paper && ours < ols, "{ours} {paper} {ols}");
 }
+
+/// A frame without spray among ten is found, named in the summary, and does not move the map.
+#[test]
+fn misfires_are_taken_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let source = folder("fig5_like");
+    for file in ["case.json", "nospray.npy"] {
+        std::fs::copy(source.join(file), dir.path().join(file)).unwrap();
+    }
+    let mut spray = npy::read(&source.join("spray.npy")).unwrap();
+    let blank = npy::read(&source.join("nospray.npy")).unwrap();
+    let (npy::Values::U16(spray_counts), npy::Values::U16(blank_counts)) = (&mut spray.values, &blank.values)
+    else {
+        panic!("u16")
+    };
+    // Cycle 3 of level 5 shows its own blank.
+    let pixels = spray.shape[1] * spray.shape[2];
+    let frame = (5 * 6 + 3) * pixels..(5 * 6 + 4) * pixels;
+    spray_counts[frame.clone()].copy_from_slice(&blank_counts[frame]);
+    npy::write(&dir.path().join("spray.npy"), &spray).unwrap();
+    let fit = |dir: &Path| {
+        let mut stack = Stack::open(dir).unwrap();
+        let inputs = stack.inputs(Estimator::Default);
+        stack.fit(&inputs).unwrap()
+    };
+    let (with, without) = (fit(dir.path()), fit(&source));
+    assert_eq!(with.levels[5].rejected.len(), 1);
+    assert_eq!((with.levels[5].rejected[0].cycle, with.levels[5].accepted), (3, 5));
+    assert!(without.levels.iter().all(|level| level.rejected.is_empty()));
+    let mut off: Vec<f64> =
+        (0..pixels).map(|i| (with.map.emissivity[i] - without.map.emissivity[i]).abs()).collect();
+    off.sort_by(f64::total_cmp);
+    assert!(off[pixels / 2] < 0.01, "{}", off[pixels / 2]);
+}

@@ -45,6 +45,12 @@ impl SakumaHattori {
         }
     }
 
+    /// dT/dI, in K/count, where the curve gives `counts` > 0 at `temperature_k` = inverse(counts): no exponential.
+    pub fn inverse_derivative(&self, counts: f64, temperature_k: f64) -> f64 {
+        let w = self.a_um * temperature_k + self.b_um_k;
+        w * w / (counts * (1.0 + counts / self.a_counts) * C2_UM_K * self.a_um)
+    }
+
     /// dI/dT at `temperature_k`, in counts/K. Zero where a T + b ≤ 0.
     pub fn derivative(&self, temperature_k: f64) -> f64 {
         let w = self.a_um * temperature_k + self.b_um_k;
@@ -573,6 +579,8 @@ mod tests {
             let h = 1e-3;
             let slope = (TRUTH.value(t + h) - TRUTH.value(t - h)) / (2.0 * h);
             assert!((TRUTH.derivative(t) / slope - 1.0).abs() < 1e-8);
+            let inverse = TRUTH.inverse_derivative(TRUTH.value(t), t);
+            assert!((TRUTH.derivative(t) * inverse - 1.0).abs() < 1e-13);
         }
         assert!(
             TRUTH.inverse(0.0).is_nan() && TRUTH.inverse(-1.0).is_nan() && TRUTH.inverse(f64::NAN).is_nan()

@@ -774,8 +774,10 @@ impl Solver<'_> {
         let (temperature, reach) = self.temperature(line.crossing);
         flags |= reach;
         values[4] = temperature;
-        values[6] = line.crossing_variance(covariance).sqrt() * inputs.emissivity_plate
-            / inputs.curve.derivative(temperature);
+        let counts = inputs.emissivity_plate * (line.crossing + inputs.far_window_counts);
+        values[6] = line.crossing_variance(covariance).sqrt()
+            * inputs.emissivity_plate
+            * inputs.curve.inverse_derivative(counts, temperature);
         if let Some((low, high)) = bounds {
             values[10] = self.temperature(low).0;
             values[11] = self.temperature(high).0;
@@ -835,3 +837,147 @@ pub const CONFIDENCE: f64 = 0.95;
 
 /// Quantile that belongs to [`CONFIDENCE`] for known variances.
 pub const T_KNOWN: f64 = NORMAL_95;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Counts of ten thousands, so that rounding is below 10 mK and noise-free levels test the equations.
+    const CURVE: SakumaHattori = SakumaHattori { a_counts: 7.2e7, a_um: 3.4, b_um_k: 1.5 };
+    const PLATES_K: [f64; 4] = [403.0, 433.0, 463.0, 533.0];
+    const GAMMA_NEAR: f64 = 0.93;
+    const GAMMA_FAR: f64 = 0.96;
+    const EMISSIVITY_PLATE: f64 = 0.98;
+    const FAR_WINDOW: f64 = 150.0;
+
+    fn inputs(estimator: Estimator) -> FitInputs<'static> {
+        FitInputs {
+            x_counts: PLATES_K.iter().map(|&t| Some(GAMMA_FAR * CURVE.value(t))).collect(),
+            gamma_near: GAMMA_NEAR,
+            gamma_far: GAMMA_FAR,
+            emissivity_plate: EMISSIVITY_PLATE,
+            far_window_counts: FAR_WINDOW,
+            curve: CURVE,
+            range: None,
+            camera: CameraNoise::ROUNDING_ONLY,
+            estimator,
+            confidence: CONFIDENCE,
+            flat_gain: None,
+        }
+    }
+
+    /// Sums of a row of pixels (emissivity, temperature, gain), two cycles of two blanks; the second cycle is one
+    /// count brighter with spray. A gain of zero does not see the plate.
+    fn sums(pixels: &[(f64, f64, f64)]) -> Sums {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "counts")]
+        let counts = |signal: f64| (1000.0 + signal).round() as u16;
+        let mut sums = Sums::new(PLATES_K.len(), 1, pixels.len(), 2, 60_000).unwrap();
+        for (level, &plate) in PLATES_K.iter().enumerate() {
+            let x = GAMMA_FAR * CURVE.value(plate);
+            let blank: Vec<u16> =
+                pixels.iter().map(|p| counts(p.2 * GAMMA_NEAR * (x + FAR_WINDOW))).collect();
+            for cycle in [0.0, 1.0] {
+                let spray: Vec<u16> = pixels
+                    .iter()
+                    .map(|&(emissivity, temperature_k, gain)| {
+                        let s = CURVE.value(temperature_k) / EMISSIVITY_PLATE - FAR_WINDOW;
+                        let signal = x + FAR_WINDOW + emissivity * (s - x);
+                        counts(gain * GAMMA_NEAR * signal + cycle)
+                    })
+                    .collect();
+                sums.add_cycle(level, &[&blank, &blank], &spray).unwrap();
+            }
+        }
+        sums
+    }
+
+    const ALL: [Estimator; 3] = [Estimator::Default, Estimator::Paper, Estimator::Ols];
+
+    #[test]
+    fn windows_plate_and_flat_follow_the_equations() {
+        let flat = [1.0, 0.8, 1.0];
+        let sums = sums(&[(0.7, 449.0, 1.0), (0.7, 449.0, 0.8), (0.3, 480.0, 1.0)]);
+        for estimator in ALL {
+            let map = solve(&sums, &FitInputs { flat_gain: Some(&flat), ..inputs(estimator) });
+            for (i, (emissivity, temperature)) in
+                [(0.7, 449.0), (0.7, 449.0), (0.3, 480.0)].into_iter().enumerate()
+            {
+                assert!((map.emissivity[i] - emissivity).abs() < 2e-4, "{estimator:?} {}", map.emissivity[i]);
+                assert!((map.temperature_k[i] - temperature).abs() < 0.1, "{}", map.temperature_k[i]);
+                assert!((map.gain[i] - GAMMA_NEAR * GAMMA_FAR).abs() < 1e-3, "{}", map.gain[i]);
+                assert_eq!(map.flags[i], 0);
+            }
+        }
+    }
+
+    #[test]
+    fn pixels_beside_the_plate_are_masked() {
+        let sums = sums(&[(0.7, 449.0, 1.0), (0.5, 449.0, 1.0), (0.6, 449.0, 0.0)]);
+        let map = solve(&sums, &inputs(Estimator::Default));
+        assert_eq!(map.flags[0] & flag::NO_PLATE, 0);
+        assert_ne!(map.flags[2] & flag::NO_PLATE, 0);
+        assert!(map.temperature_k[2].is_nan() && map.emissivity[2].is_nan());
+    }
+
+    #[test]
+    fn temperatures_outside_the_calibration_are_marked() {
+        let sums = sums(&[(0.7, 449.0, 1.0), (0.7, 538.0, 1.0), (0.7, 600.0, 1.0)]);
+        let range = Some(Range { low_k: 403.0, high_k: 533.0 });
+        for estimator in ALL {
+            let map = solve(&sums, &FitInputs { range, ..inputs(estimator) });
+            assert_eq!(map.flags[0], 0);
+            assert_eq!(map.flags[1], flag::EXTRAPOLATED);
+            assert!(map.temperature_k[1].is_finite());
+            assert_eq!(map.flags[2], flag::OUT_OF_RANGE);
+            assert!(map.temperature_k[2].is_nan() && map.sigma_temperature_k[2].is_nan());
+        }
+    }
+
+    #[test]
+    fn levels_without_x_are_left_out() {
+        let sums = sums(&[(0.7, 449.0, 1.0)]);
+        for estimator in ALL {
+            let mut few = inputs(estimator);
+            few.x_counts[1] = None;
+            let map = solve(&sums, &few);
+            assert!((map.temperature_k[0] - 449.0).abs() < 0.1);
+            assert_eq!(map.count, [2, 2, 2, 2]);
+            few.x_counts = vec![None, few.x_counts[2], Some(f64::NAN), None];
+            let none = solve(&sums, &few);
+            assert_eq!(none.flags[0] & flag::TOO_FEW_LEVELS, flag::TOO_FEW_LEVELS);
+            assert!(none.channels()[..12].iter().all(|channel| channel[0].is_nan()));
+        }
+    }
+
+    /// Dead, saturated, empty and one-pixel maps: flags and NaN, whichever the estimator.
+    #[test]
+    fn nasty_sums_give_flags() {
+        for estimator in ALL {
+            let empty = Sums::new(4, 2, 3, 2, 60_000).unwrap();
+            let map = solve(&empty, &inputs(estimator));
+            assert!(map.flags.iter().all(|f| f & flag::TOO_FEW_LEVELS != 0));
+            let mut dead = Sums::new(4, 1, 2, 2, 60_000).unwrap();
+            for level in 0..4 {
+                for _ in 0..2 {
+                    dead.add_cycle(level, &[&[0, 60_000], &[0, 60_000]], &[0, 60_000]).unwrap();
+                }
+            }
+            let map = solve(&dead, &inputs(estimator));
+            assert_ne!(map.flags[0] & flag::DEAD, 0);
+            assert_ne!(map.flags[1] & flag::SATURATED, 0);
+            assert!(map.temperature_k.iter().all(|t| t.is_nan()));
+            let none = Sums::new(4, 0, 0, 2, 60_000).unwrap();
+            assert!(solve(&none, &inputs(estimator)).flags.is_empty());
+        }
+    }
+
+    #[test]
+    fn neighbours_are_averaged_by_weight() {
+        let values = [1.0, 2.0, 3.0, f64::NAN, 5.0, 6.0];
+        let weights = [1.0, 1.0, 1.0, 0.0, 2.0, 1.0];
+        let pooled = pool(&values, &weights, 2, 3, 1);
+        assert!((pooled[0] - (1.0 + 2.0 + 10.0) / 4.0).abs() < 1e-15);
+        assert!((pooled[5] - (2.0 + 3.0 + 10.0 + 6.0) / 5.0).abs() < 1e-15);
+        assert!(pool(&[f64::NAN], &[0.0], 1, 1, 2)[0].is_nan());
+    }
+}
