@@ -10,12 +10,13 @@ mod pattern;
 use super::field::{Gas, SprayField};
 use crate::light::band::Band;
 use crate::light::fuel::Fuel;
-use crate::light::phase::PhaseFunction;
+use crate::light::phase::{PhaseFunction, PhaseTable};
 use crate::light::planck::photon_radiance;
 use crate::light::table::locate;
 use crate::tracer::medium::{EMPTY, GridMedium};
 use droplets::DropletTable;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// What emits in a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -181,7 +182,7 @@ pub fn optics(field: &SprayField, fuel: &Fuel, band: &Band, sources: &[Source]) 
         })
         .unzip();
     let (asymmetry, asymmetry_tabulated): (Vec<f64>, Vec<f64>) = means.into_iter().unzip();
-    let phase = asymmetry.iter().map(|&g| phase_function(g)).collect();
+    let phase = patterns.iter().map(phase_function).collect();
     let [low, high] = fuel.liquid_range_um();
     let [cold, hot] = fuel.vapour_range_k();
     let outside = |gas: &&Gas| gas.vapour_mol_m3 > 0.0 && !(cold..=hot).contains(&gas.temperature_k);
@@ -211,9 +212,12 @@ pub fn optics(field: &SprayField, fuel: &Fuel, band: &Band, sources: &[Source]) 
     Optics { medium, patterns, report }
 }
 
-/// Henyey and Greenstein's function with the mean cosine of the droplets.
-fn phase_function(asymmetry: f64) -> PhaseFunction {
-    PhaseFunction::HenyeyGreenstein { asymmetry }
+/// The pattern as the tracer samples it; isotropic for a group that does not scatter.
+fn phase_function(pattern: &Pattern) -> PhaseFunction {
+    match PhaseTable::new(&pattern.theta_rad, &pattern.p11) {
+        Ok((table, _)) => PhaseFunction::Table(Arc::new(table)),
+        Err(_) => PhaseFunction::Isotropic,
+    }
 }
 
 /// Per parcel what one droplet contributes: `[sca | abs | emission of channel 0 | …]`, each over the groups, in m².

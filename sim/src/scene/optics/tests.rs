@@ -145,6 +145,10 @@ fn the_shipped_spray_is_opaque_in_its_core_and_scatters_forward() {
         assert!((0.7..0.97).contains(g), "{g}");
         assert!((g - table).abs() < 2e-3, "{g} {table}");
     }
+    // The phase function that the tracer samples is that table.
+    for (phase, table) in found.medium.phase.iter().zip(&found.report.asymmetry_tabulated) {
+        close(phase.mean_cosine(), *table, 1e-10, "mean cosine of the phase function");
+    }
     // The total cross-section is the parcels': extensive, whatever the grid.
     let volume = field.grid.cell_volume_m3();
     let cells: f64 = found.medium.k_sca.iter().step_by(band.len()).sum::<f64>() * volume;
