@@ -4,28 +4,38 @@
 ///
 /// Nodes by Newton's method on the Legendre recurrence in O(count²); both are within a few rounding errors.
 pub fn gauss_legendre(count: usize) -> Vec<(f64, f64)> {
+    gauss_legendre_unit(count).into_iter().map(|(t, weight)| (2.0 * t - 1.0, 2.0 * weight)).collect()
+}
+
+/// [`gauss_legendre`] on (0, 1): nodes near 0 keep their relative accuracy, for integrands with a peak there.
+pub fn gauss_legendre_unit(count: usize) -> Vec<(f64, f64)> {
     assert!(count > 0, "a quadrature needs at least one node");
-    let mut rule = vec![(0.0, 2.0); count];
+    let mut rule = vec![(0.5, 1.0); count];
     let size = count as f64;
     for i in 0..count.div_ceil(2) {
         let mut node = ((i as f64 + 0.75) / (size + 0.5) * std::f64::consts::PI).cos();
         if 2 * i + 1 == count {
             node = 0.0;
         }
-        let mut slope = 1.0;
-        // Newton converges from Tricomi's first guess in at most five steps; the last one polishes.
-        for _ in 0..8 {
+        let (mut slope, mut step) = (1.0, 0.0);
+        // Newton converges from Tricomi's first guess in at most five steps; the last one is the distance from the
+        // rounded node to the root.
+        for round in 0..8 {
             let (value, derivative) = legendre(count, node);
             slope = derivative;
-            let step = value / derivative;
-            node -= step;
-            if step.abs() <= 1e-16 {
+            step = value / derivative;
+            if round == 7 || node - step == node {
                 break;
             }
+            node -= step;
         }
-        let weight = 2.0 / ((1.0 - node) * (1.0 + node) * slope * slope);
-        rule[count - 1 - i] = (node, weight);
-        rule[i] = (-node, weight);
+        // Distance of the root from 1, and P′ at the root from P″ = 2x P′/(1 − x²): the rounding of a node close to
+        // 1 would cost digits of both.
+        let from_end = (1.0 - node) + step;
+        let slope = slope * (1.0 - 2.0 * node * step / ((1.0 - node) * (1.0 + node)));
+        let weight = 1.0 / (from_end * (2.0 - from_end) * slope * slope);
+        rule[i] = (0.5 * from_end, weight);
+        rule[count - 1 - i] = (1.0 - 0.5 * from_end, weight);
     }
     rule
 }

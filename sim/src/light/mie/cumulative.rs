@@ -3,7 +3,7 @@
 use super::amplitudes::{Direction, Terms};
 use super::series::{efficiencies, series_length};
 use super::{MieError, Sphere};
-use crate::light::quadrature::gauss_legendre;
+use crate::light::quadrature::gauss_legendre_unit;
 
 /// Largest size parameter: the work grows as x² per angle.
 const SIZE_CUMULATIVE: f64 = 2e4;
@@ -26,19 +26,19 @@ pub fn cumulative(sphere: Sphere, directions: &[Direction]) -> Result<Vec<f64>, 
     let norm = 1.0 / (size_parameter * size_parameter * q_sca);
     let terms = Terms::new(sphere);
     debug_assert!(terms.len() as f64 <= series_length(size_parameter), "one node per order is enough");
-    let rule = gauss_legendre(terms.len() + 1);
+    let rule = gauss_legendre_unit(terms.len() + 1);
     Ok(directions
         .iter()
         .map(|direction| {
-            let half = 0.5 * direction.versine();
+            let end = direction.versine();
             let sum: f64 = rule
                 .iter()
                 .map(|&(node, weight)| {
-                    let (s1, s2) = terms.towards(Direction::from_versine(half * (1.0 + node)));
+                    let (s1, s2) = terms.towards(Direction::from_versine(end * node));
                     weight * (s1.norm_sqr() + s2.norm_sqr())
                 })
                 .sum();
-            norm * half * sum
+            norm * end * sum
         })
         .collect())
 }

@@ -55,29 +55,41 @@ pub fn efficiencies_of_many(spheres: &[Sphere]) -> Result<Vec<Efficiencies>, (us
     for (index, sphere) in spheres.iter().enumerate() {
         sphere.checked().map_err(|error| (index, error))?;
     }
-    Ok(pulp::Arch::new().dispatch(|| many(spheres)))
+    Ok(pulp::Arch::new().dispatch(Many(spheres)))
 }
 
-#[inline(always)]
-fn many(spheres: &[Sphere]) -> Vec<Efficiencies> {
-    let mut answers = Vec::with_capacity(spheres.len());
-    let mut ratios = Vec::new();
-    for chunk in spheres.chunks(LANES) {
-        let lanes: [Sphere; LANES] = from_fn(|i| chunk[i.min(chunk.len() - 1)]);
-        let found = sums(lanes, &mut ratios);
-        answers.extend_from_slice(&found[..chunk.len()]);
+/// Checked spheres, to be computed with the vectors of this machine. A struct and not a closure, so that all of it
+/// is inlined where those vectors are switched on. No fused operations: the bits are those of one sphere alone.
+struct Many<'a>(&'a [Sphere]);
+
+impl pulp::WithSimd for Many<'_> {
+    type Output = Vec<Efficiencies>;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Self::Output {
+        let mut answers = Vec::with_capacity(self.0.len());
+        let mut ratios = Vec::new();
+        for chunk in self.0.chunks(LANES) {
+            let mut lanes = [chunk[0]; LANES];
+            lanes[..chunk.len()].copy_from_slice(chunk);
+            let found = sums(lanes, &mut ratios);
+            answers.extend_from_slice(&found[..chunk.len()]);
+        }
+        answers
     }
-    answers
 }
 
 /// Coefficients a_n and b_n of one sphere for n = 1 … N, empty when x = 0.
 pub(super) fn coefficients(sphere: Sphere) -> Vec<(Complex, Complex)> {
     let spheres = Spheres::new([sphere]);
     let mut answer = Vec::with_capacity(spheres.orders);
-    spheres.each_order(&mut Vec::new(), |_, order| {
+    let mut ratios = Vec::new();
+    let mut climb = spheres.climb(&mut ratios);
+    for (n, ratios) in ratios.iter().enumerate().skip(1) {
+        let order = climb.step(n as f64, *ratios);
         let number = |z: Cplx<1>| Complex::new(z.re.0[0], z.im.0[0]);
         answer.push((number(order.a), number(order.b)));
-    });
+    }
     answer
 }
 
@@ -144,7 +156,7 @@ impl<const L: usize> Spheres<L> {
             difference: one_less_m.scale(self.x * first),
         };
         let nothing = Ratios { outside: Real::all(0.0), inside: Cplx::ZERO, difference: Cplx::ZERO };
-        ratios.clear();
+        // What is left from other spheres is overwritten below.
         ratios.resize(self.orders + 1, nothing);
         for n in (1..=start).rev() {
             let odd = Real::all(2.0 * n as f64 + 1.0);
@@ -160,12 +172,9 @@ impl<const L: usize> Spheres<L> {
         }
     }
 
-    /// Calls `visit(n, coefficients)` for n = 1 … `orders`. Lanes past their last order hold zeros.
+    /// Fills `ratios` and stands below order 1. Nothing is filled when all spheres are absent.
     #[inline(always)]
-    fn each_order(&self, ratios: &mut Vec<Ratios<L>>, mut visit: impl FnMut(usize, &Order<L>)) {
-        if self.orders == 0 {
-            return;
-        }
+    fn climb(&self, ratios: &mut Vec<Ratios<L>>) -> Climb<L> {
         self.ratios(ratios);
         let x_inverse = self.x.map(|x| 1.0 / x);
         let one = Cplx { re: Real::all(1.0), im: Real::all(0.0) };
@@ -176,40 +185,69 @@ impl<const L: usize> Spheres<L> {
         // Im(1/m²) = −2nk/|m|⁴ by itself: beside a real part of about −1 it would lose digits for large k.
         let square = m_inverse.norm_sqr();
         step.im = -(self.m.re * square * (self.m.im * square)) * 2.0;
-        let step = step.scale(x_inverse);
         let shrink = Cplx { re: -one_less_m.re, im: -one_less_m.im } * m_inverse;
 
         let (sine, cosine) = (self.x.map(f64::sin), self.x.map(f64::cos));
-        let (psi_0, psi_1_direct) = (sine, sine * x_inverse - cosine);
+        let psi_1_direct = sine * x_inverse - cosine;
         // From the larger of ψ₀ and ψ₁, so that a zero of one of them does no harm; below x = 1 it is ψ₀.
-        let psi_1_up = psi_0 * ratios[0].outside;
-        let mut psi = Real(from_fn(|i| {
-            let up = self.x.0[i] < 1.0 || psi_0.0[i].abs() >= psi_1_direct.0[i].abs();
-            if up { psi_1_up.0[i] } else { psi_1_direct.0[i] }
-        }));
-        let mut chi = cosine * x_inverse + sine;
-        let mut chi_below = cosine;
-        for (n, &Ratios { outside, inside, difference }) in ratios.iter().enumerate().skip(1) {
-            let order = n as f64;
-            let chi_above = (x_inverse * (2.0 * order + 1.0)) * chi - chi_below;
-            let climb = step.scale(Real::all(order + 1.0));
-            let top_a = (climb + difference + shrink * inside).scale(psi);
-            let top_b = (difference + one_less_m * inside).scale(psi);
-            let u_a = climb - inside * m_inverse;
-            let u_b = Cplx::ZERO - self.m * inside;
-            let (a, absorbed_a) = coefficient(top_a, u_a, chi, chi_above);
-            let (b, absorbed_b) = coefficient(top_b, u_b, chi, chi_above);
-            visit(
-                n,
-                &Order {
-                    a: a.up_to(self.last, order),
-                    b: b.up_to(self.last, order),
-                    absorbed: (absorbed_a + absorbed_b).up_to(self.last, order),
-                },
-            );
-            psi = outside * psi;
-            chi_below = chi;
-            chi = chi_above;
+        let psi_1_up = sine * ratios[0].outside;
+        let mut psi = psi_1_up;
+        for i in 0..L {
+            if self.x.0[i] >= 1.0 && sine.0[i].abs() < psi_1_direct.0[i].abs() {
+                psi.0[i] = psi_1_direct.0[i];
+            }
+        }
+        Climb {
+            last: self.last,
+            m: self.m,
+            m_inverse,
+            one_less_m,
+            shrink,
+            step: step.scale(x_inverse),
+            x_inverse,
+            psi,
+            chi: cosine * x_inverse + sine,
+            chi_below: cosine,
+        }
+    }
+}
+
+/// The way up through the orders: ψ_n, χ_n, χ_{n−1}, and what stays the same.
+struct Climb<const L: usize> {
+    last: Real<L>,
+    m: Cplx<L>,
+    m_inverse: Cplx<L>,
+    one_less_m: Cplx<L>,
+    /// (m − 1)/m.
+    shrink: Cplx<L>,
+    /// (1 − m)(1 + m)/(m² x).
+    step: Cplx<L>,
+    x_inverse: Real<L>,
+    psi: Real<L>,
+    chi: Real<L>,
+    chi_below: Real<L>,
+}
+
+impl<const L: usize> Climb<L> {
+    /// Coefficients of order `n`, to be asked for in order from 1. Lanes past their last order hold zeros.
+    #[inline(always)]
+    fn step(&mut self, n: f64, ratios: Ratios<L>) -> Order<L> {
+        let Ratios { outside, inside, difference } = ratios;
+        let chi_above = (self.x_inverse * (2.0 * n + 1.0)) * self.chi - self.chi_below;
+        let rise = self.step.scale(Real::all(n + 1.0));
+        let top_a = (rise + difference + self.shrink * inside).scale(self.psi);
+        let top_b = (difference + self.one_less_m * inside).scale(self.psi);
+        let u_a = rise - inside * self.m_inverse;
+        let u_b = Cplx::ZERO - self.m * inside;
+        let (a, absorbed_a) = coefficient(top_a, u_a, self.chi, chi_above);
+        let (b, absorbed_b) = coefficient(top_b, u_b, self.chi, chi_above);
+        self.psi = outside * self.psi;
+        self.chi_below = self.chi;
+        self.chi = chi_above;
+        Order {
+            a: a.up_to(self.last, n),
+            b: b.up_to(self.last, n),
+            absorbed: (absorbed_a + absorbed_b).up_to(self.last, n),
         }
     }
 }
@@ -238,9 +276,11 @@ fn sums<const L: usize>(lanes: [Sphere; L], ratios: &mut Vec<Ratios<L>>) -> [Eff
     let mut back = Cplx::ZERO;
     let mut below = (Cplx::ZERO, Cplx::ZERO);
     let mut sign = 1.0;
-    spheres.each_order(ratios, |n, order| {
-        let n = n as f64;
+    let mut climb = spheres.climb(ratios);
+    for (order, ratios) in ratios.iter().enumerate().skip(1) {
+        let n = order as f64;
         let odd = 2.0 * n + 1.0;
+        let order = climb.step(n, *ratios);
         scattered = scattered + (order.a.norm_sqr() + order.b.norm_sqr()) * odd;
         absorbed = absorbed + order.absorbed * odd;
         // (n−1)(n+1)/n Re(a_{n−1} a_n* + b_{n−1} b_n*) + (2n+1)/(n(n+1)) Re(a_n b_n*).
@@ -250,7 +290,7 @@ fn sums<const L: usize>(lanes: [Sphere; L], ratios: &mut Vec<Ratios<L>>) -> [Eff
         sign = -sign;
         back = back + (order.a - order.b).scale(Real::all(sign * odd));
         below = (order.a, order.b);
-    });
+    }
     from_fn(|i| {
         let x = spheres.x.0[i];
         let per_area = 2.0 / (x * x);
