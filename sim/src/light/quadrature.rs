@@ -24,7 +24,7 @@ pub fn gauss_legendre_unit(count: usize) -> Vec<(f64, f64)> {
             let (value, derivative) = legendre(count, node);
             slope = derivative;
             step = value / derivative;
-            if round == 7 || node - step == node {
+            if round == 7 || step.abs() < 1.1e-16 * node {
                 break;
             }
             node -= step;
