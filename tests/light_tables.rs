@@ -1,5 +1,7 @@
 //! The table commands as a user meets them: the program itself, on the reference tables, against their columns.
 
+#![expect(clippy::unwrap_used, reason = "the helpers of these tests fail the test")]
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
