@@ -141,7 +141,9 @@ impl<const L: usize> Spheres<L> {
     fn ratios(&self, ratios: &mut Vec<Ratios<L>>) {
         let reach = |x: f64, m: f64| {
             let z = x * m.max(1.0);
-            z.max(self.orders as f64) + 8.0 * z.cbrt() + 16.0
+            // Past |z| until the start is forgotten, and a little past the last order: for small spheres the
+            // recurrence forgets three digits a step there, and the last terms need few.
+            (z + 8.0 * z.cbrt() + 8.0).max(self.orders as f64 + 4.0)
         };
         let modulus = self.m.norm_sqr().map(f64::sqrt);
         let start = integer((0..L).fold(0.0f64, |far, i| far.max(reach(self.x.0[i], modulus.0[i]))));
