@@ -333,7 +333,14 @@ pub fn lines_with_same_weights(
         Estimator::Paper | Estimator::Ols => Pools::default(),
     };
     let quantiles = Quantiles::new(inputs.confidence);
-    let solver = Solver { inputs, statistics: &statistics, pools: &pools, plate: None, quantiles: &quantiles };
+    let solver = Solver {
+        inputs,
+        statistics: &statistics,
+        pools: &pools,
+        gains: &[],
+        plate: None,
+        quantiles: &quantiles,
+    };
     let used: Vec<usize> = (0..levels).filter(|&k| inputs.x_counts[k].is_some_and(f64::is_finite)).collect();
     (0..sums.rows() * sums.columns())
         .into_par_iter()
