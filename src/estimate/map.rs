@@ -103,7 +103,8 @@ pub mod flag {
     pub const SATURATED: u32 = 1 << 1;
     /// The pixel never changes, neither with shots nor with the plate.
     pub const DEAD: u32 = 1 << 2;
-    /// Spray minus blank is the same in every cycle of every level (two or more each).
+    /// Spray minus blank is the same in every cycle of every level. Few quiet cycles can do that by chance where there
+    /// is no spray, so it says something only together with others.
     pub const CONSTANT: u32 = 1 << 3;
     /// The pixel does not see the plate: its blanks do not follow it.
     pub const NO_PLATE: u32 = 1 << 4;
@@ -451,18 +452,19 @@ impl Statistics {
 fn constancy(levels: &[LevelStatistics], pixel: usize) -> u32 {
     let mut seen = levels.iter().filter(|level| level.count[pixel] > 0.0);
     let Some(first) = seen.next() else { return 0 };
-    let (mut same, mut dark) = (first.variance[pixel] == 0.0, true);
-    let mut others = 0;
+    // A level of one cycle has no variance and cannot contradict.
+    let still = |level: &LevelStatistics| level.count[pixel] < 2.0 || level.variance[pixel] == 0.0;
+    let (mut same, mut dark) = (still(first), true);
+    let (mut levels, mut repeated) = (1, first.count[pixel] >= 2.0);
     for level in seen {
-        same &= level.variance[pixel] == 0.0 && level.mean[pixel] == first.mean[pixel];
+        same &= still(level) && level.mean[pixel] == first.mean[pixel];
         dark &= level.blank[pixel] == first.blank[pixel];
-        others += 1;
+        repeated |= level.count[pixel] >= 2.0;
+        levels += 1;
     }
-    match (same && others > 0, dark) {
-        (true, true) => flag::CONSTANT | flag::DEAD,
-        (true, false) => flag::CONSTANT,
-        _ => 0,
-    }
+    let constant = if same && repeated && levels >= 2 { flag::CONSTANT } else { 0 };
+    let dead = if same && dark && levels >= 2 && (repeated || levels >= 3) { flag::DEAD } else { 0 };
+    constant | dead
 }
 
 /// Statistics shared by neighbours, per level.
@@ -476,7 +478,7 @@ struct Pools {
 
 impl Pools {
     fn of(statistics: &Statistics, rows: usize, columns: usize) -> Self {
-        let usable = |i: usize| statistics.flags[i] & (flag::CONSTANT | flag::DEAD) == 0;
+        let usable = |i: usize| statistics.flags[i] & flag::DEAD == 0;
         let variance: Vec<Vec<f64>> = statistics
             .levels
             .iter()
@@ -647,7 +649,7 @@ impl Solver<'_> {
             Estimator::Default => self.default(pixel),
         };
         let Some(fitted) = fitted else { return (values, flags | flag::TOO_FEW_LEVELS) };
-        let unseen = flags & (flag::DEAD | flag::CONSTANT | flag::NO_PLATE) != 0;
+        let unseen = flags & (flag::DEAD | flag::NO_PLATE) != 0;
         if unseen && self.inputs.estimator == Estimator::Default {
             return (values, flags);
         }

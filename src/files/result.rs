@@ -136,11 +136,16 @@ pub fn description(map: &DitMap, meta: &ResultMeta) -> serde_json::Value {
     })
 }
 
-/// The previews: file name, caption and PNG bytes. Temperatures that are not resolved are grey.
+/// The previews: file name, caption and PNG bytes. Temperatures that are not resolved, or of an emissivity below
+/// three of its standard deviations, are grey: outside the spray one pixel in forty is resolved by chance.
 pub fn previews(map: &DitMap, title: &str) -> Vec<(&'static str, &'static str, std::io::Result<Vec<u8>>)> {
     let resolved = |values: &[f64]| -> Vec<f64> {
         let hidden = flag::NOT_RESOLVED | flag::NEGATIVE_EMISSIVITY | flag::NO_PLATE;
-        values.iter().zip(&map.flags).map(|(&v, f)| if f & hidden == 0 { v } else { f64::NAN }).collect()
+        let shown = |i: usize| {
+            let weak = map.emissivity[i] < 3.0 * map.sigma_emissivity[i];
+            map.flags[i] & hidden == 0 && !weak
+        };
+        values.iter().enumerate().map(|(i, &v)| if shown(i) { v } else { f64::NAN }).collect()
     };
     let temperature = resolved(&map.temperature_k);
     let sigma = resolved(&map.sigma_temperature_k);
