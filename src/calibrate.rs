@@ -59,7 +59,9 @@ pub enum CalibrateError {
         what: &'static str,
     },
     /// The curve did not fit.
-    #[error("calibration: the curve does not fit its points: {0}. Look at calibration/telemetry.csv and the frames.")]
+    #[error(
+        "calibration: the curve does not fit its points: {0}. Look at calibration/telemetry.csv and the frames."
+    )]
     Fit(String),
     /// The calibration was made for another set-up.
     #[error(
@@ -128,8 +130,13 @@ pub fn standard(
         }
         shutter_k.push(kelvin);
         let shutter_frames = f64::from(sums.shutter_frames[index]);
-        dark.push(sums.shutter[index].iter().sum::<u64>() as f64 / shutter_frames / sums.shutter[index].len() as f64);
-        let (n_plate, n_shutter) = (f64::from(sums.plate_frames[index]), f64::from(sums.shutter_frames[index]));
+        dark.push(
+            sums.shutter[index].iter().sum::<u64>() as f64
+                / shutter_frames
+                / sums.shutter[index].len() as f64,
+        );
+        let (n_plate, n_shutter) =
+            (f64::from(sums.plate_frames[index]), f64::from(sums.shutter_frames[index]));
         let difference: Vec<f64> = sums.plate[index]
             .iter()
             .zip(&sums.shutter[index])
@@ -153,7 +160,14 @@ pub fn standard(
     let quietest = points.iter().map(|point| point.sigma_counts).fold(f64::INFINITY, f64::min);
     points.insert(0, CalibrationPoint { temperature_k: cold, counts: 0.0, sigma_counts: quietest });
     let fit = fit_curve(&points, OffsetMode::Free).map_err(|error| CalibrateError::Fit(error.to_string()))?;
-    let calibration = Calibration { schema: 1, utc: utc.to_owned(), key: Key::of(config), dark_counts: mean(&dark), points, fit };
+    let calibration = Calibration {
+        schema: 1,
+        utc: utc.to_owned(),
+        key: Key::of(config),
+        dark_counts: mean(&dark),
+        points,
+        fit,
+    };
     Ok((calibration, flat))
 }
 

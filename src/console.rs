@@ -38,7 +38,11 @@ impl Console {
     pub fn fraction(&self, text: &str, done: f64) {
         if let Some(bar) = &self.bar {
             bar.set_length(100);
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to 0 … 100")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "clamped to 0 … 100"
+            )]
             bar.set_position((done.clamp(0.0, 1.0) * 100.0) as u64);
             bar.set_message(text.to_owned());
         }
@@ -57,7 +61,11 @@ pub fn duration_words(seconds: f64) -> String {
     if !seconds.is_finite() || seconds < 0.0 {
         return "unknown".to_owned();
     }
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates; checked not negative")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "saturates; checked not negative"
+    )]
     let whole = seconds.round() as u64;
     match (whole / 3600, whole / 60 % 60, whole % 60) {
         (0, 0, s) => format!("{s} s"),

@@ -190,7 +190,8 @@ fn entry_of(line: &str) -> Result<Entry, String> {
     let at = line.rfind(",\"crc\":\"").ok_or("no crc at its end")?;
     let open = &line[..at];
     let stated = line[at..].strip_prefix(",\"crc\":\"").and_then(|rest| rest.strip_suffix("\"}"));
-    let stated = stated.and_then(|hex| u32::from_str_radix(hex, 16).ok()).ok_or("its crc is not eight hex digits")?;
+    let stated =
+        stated.and_then(|hex| u32::from_str_radix(hex, 16).ok()).ok_or("its crc is not eight hex digits")?;
     let found = crc32fast::hash(open.as_bytes());
     if stated != found {
         return Err(format!("crc {found:08x} where {stated:08x} was written"));
@@ -217,7 +218,8 @@ impl Journal {
     /// [`JournalError`] when it cannot be read or is damaged.
     pub fn reopen(path: &Path) -> Result<(Self, Vec<Entry>), JournalError> {
         let (entries, good_bytes) = read_prefix(path)?;
-        let file = OpenOptions::new().append(true).open(path).map_err(|source| io(path, "opening it", source))?;
+        let file =
+            OpenOptions::new().append(true).open(path).map_err(|source| io(path, "opening it", source))?;
         file.set_len(good_bytes).map_err(|source| io(path, "cutting a torn line", source))?;
         let next_seq = entries.len() as u64;
         Ok((Self { path: path.to_owned(), file: BufWriter::new(file), next_seq }, entries))
@@ -270,7 +272,9 @@ fn read_prefix(path: &Path) -> Result<(Vec<Entry>, u64), JournalError> {
         let damage = |why: String| JournalError::Damaged { path: path.to_owned(), line: index + 1, why };
         match parsed {
             Ok(entry) if entry.seq == entries.len() as u64 => entries.push(entry),
-            Ok(entry) => return Err(damage(format!("its number is {} where {} was due", entry.seq, entries.len()))),
+            Ok(entry) => {
+                return Err(damage(format!("its number is {} where {} was due", entry.seq, entries.len())));
+            }
             Err(_) if last && !raw.ends_with(b"\n") => break,
             Err(why) => return Err(damage(why)),
         }

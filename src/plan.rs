@@ -145,7 +145,9 @@ impl Plan {
                 p.cycle_ns() as f64 * 1e-9,
             ));
         }
-        out.push_str("end       safe state: injector off, trigger clock off, camera off, plate to its minimum\n");
+        out.push_str(
+            "end       safe state: injector off, trigger clock off, camera off, plate to its minimum\n",
+        );
         out
     }
 }

@@ -111,7 +111,8 @@ impl Reduced {
         let total = match plan.purpose {
             Purpose::Map => {
                 let blanks = plan.levels.first().map_or(1, |level| level.program.blanks);
-                let blanks = u16::try_from(blanks).map_err(|_| ReduceError(format!("{blanks} blanks a cycle")))?;
+                let blanks =
+                    u16::try_from(blanks).map_err(|_| ReduceError(format!("{blanks} blanks a cycle")))?;
                 let sums = Sums::new(levels, rows, columns, blanks, saturation_count);
                 Total::Map(Box::new(sums.map_err(|error| ReduceError(error.to_string()))?))
             }

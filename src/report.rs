@@ -3,6 +3,7 @@
 //! Equal contents are equal bytes. Shows what it is given and judges nothing.
 
 pub mod plot;
+pub mod run;
 
 pub use plot::{Plot, Point, Series, Style};
 

@@ -4,13 +4,14 @@
 //! no host. So a replay's folder is equal byte for byte.
 
 use crate::config::Config;
-use crate::console::duration_words;
 use crate::estimate::map::{self, DitMap, Estimator, flag};
 use crate::files::npy::{Array, Values};
 use crate::files::npz::{self, Packing};
 use crate::files::{self, FileError, ResultMeta};
 use crate::fitting;
 use crate::reduce::{Reduced, Total};
+use crate::report::run::Material;
+use crate::report::{self, Picture};
 use crate::run_folder::{FolderError, RunFolder};
 use crate::session::Calibrated;
 use crate::truth::{ErrorFigures, StatisticalTruth, WorldTruth, compare};
@@ -53,6 +54,7 @@ pub fn write(
     calibrated: &Calibrated,
     estimator: Estimator,
     world: Option<&WorldTruth>,
+    telemetry: &[(f64, f64, f64)],
 ) -> Result<String, ResultError> {
     let Total::Map(sums) = &reduced.total else {
         return Err(ResultError::TooLittle("these records are a calibration, not a campaign"));
@@ -74,6 +76,23 @@ pub fn write(
     if let (Some(judged), Some(world)) = (&judged, world) {
         folder.write(&out.join("truth.npz"), &judged.to_npz(world)?)?;
     }
+    let mut pictures = Vec::new();
+    for (name, caption, png) in files::result::previews(&map, "") {
+        let png = png.map_err(|source| FileError::Io { path: out.join(name), source })?;
+        pictures.push(Picture { caption: caption.to_owned(), png });
+    }
+    let report = report::run::of_run(&Material {
+        reduced,
+        config,
+        calibrated,
+        sums,
+        inputs: &inputs,
+        map: &map,
+        summary: &summary,
+        pictures,
+        telemetry,
+    });
+    folder.write(&out.join("report.html"), report.to_html().as_bytes())?;
     let mut text = format!("{summary:#}");
     text.push('\n');
     folder.write(&out.join("summary.json"), text.as_bytes())?;
@@ -290,6 +309,20 @@ fn words(summary: &Value, map: &DitMap, judged: Option<&Judged>, config: &Config
     out
 }
 
+/// The plate's readings of a run: time in s, reading in K, set-point in K. Lines that are no reading are left out:
+/// telemetry is for looking at, not for counting on.
+pub fn read_telemetry(folder: &Path) -> Vec<(f64, f64, f64)> {
+    let text = std::fs::read_to_string(folder.join("telemetry.csv")).unwrap_or_default();
+    text.lines()
+        .filter_map(|line| {
+            let mut fields = line.split(',').map(|field| field.parse::<f64>().ok());
+            let (t_ns, _, apparent, _, set_point) =
+                (fields.next()??, fields.next()?, fields.next()??, fields.next()?, fields.next()??);
+            Some((t_ns * 1e-9, apparent, set_point))
+        })
+        .collect()
+}
+
 /// Keeps the truth of a simulated world in the run folder.
 ///
 /// # Errors
@@ -297,7 +330,10 @@ fn words(summary: &Value, map: &DitMap, judged: Option<&Judged>, config: &Config
 /// [`ResultError`] when the disk refuses.
 pub fn write_world(folder: &RunFolder, truth: &WorldTruth) -> Result<(), ResultError> {
     let line = |values: &[f64]| Array { shape: vec![values.len()], values: Values::F64(values.to_vec()) };
-    let image = |values: &[f64]| Array { shape: vec![truth.rows, truth.columns], values: Values::F64(values.to_vec()) };
+    let image = |values: &[f64]| Array {
+        shape: vec![truth.rows, truth.columns],
+        values: Values::F64(values.to_vec()),
+    };
     // f32 holds 24 bits: expected counts of hundreds to 1e-5 counts, far below their own standard error.
     let stack = |levels: &[Vec<f64>]| Array {
         shape: vec![levels.len(), truth.rows, truth.columns],
@@ -348,7 +384,10 @@ pub fn read_world(folder: &Path) -> Result<Option<WorldTruth>, ResultError> {
     let line = |name: &str| get(name).map(Array::to_f64);
     let scalar = |name: &str| line(name).map(|values| values.first().copied().unwrap_or(f64::NAN));
     let [levels, rows, columns] = get("difference_counts")?.shape[..] else {
-        return Err(ResultError::World { path: path.clone(), why: "difference_counts is no stack".to_owned() });
+        return Err(ResultError::World {
+            path: path.clone(),
+            why: "difference_counts is no stack".to_owned(),
+        });
     };
     let stack = |name: &str| -> Result<Vec<Vec<f64>>, ResultError> {
         let flat = line(name)?;
@@ -374,9 +413,4 @@ pub fn read_world(folder: &Path) -> Result<Option<WorldTruth>, ResultError> {
         droplets_k: line("droplets_k")?,
         droplets_emissivity: line("droplets_emissivity")?,
     }))
-}
-
-/// Time of a campaign in words, for the console.
-pub fn campaign_words(seconds: f64) -> String {
-    duration_words(seconds)
 }

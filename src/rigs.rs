@@ -108,12 +108,7 @@ pub fn prepare(
 
 /// A rig whose simulated camera, if it has one, sees nothing: enough to make it safe.
 pub fn without_world(config: &Config) -> Prepared {
-    Prepared {
-        config: config.clone(),
-        world: None,
-        log: PlateLog::default(),
-        begins: Beginning::default(),
-    }
+    Prepared { config: config.clone(), world: None, log: PlateLog::default(), begins: Beginning::default() }
 }
 
 impl Prepared {
@@ -131,7 +126,8 @@ impl Prepared {
 
     /// Whether the campaign runs in virtual time.
     pub fn is_virtual(&self) -> bool {
-        let addresses = [&self.config.plate.address, &self.config.trigger.address, &self.config.camera.address];
+        let addresses =
+            [&self.config.plate.address, &self.config.trigger.address, &self.config.camera.address];
         self.config.campaign.pace == Pace::Max && addresses.iter().all(|address| *address == "sim")
     }
 
@@ -240,7 +236,8 @@ impl Prepared {
         if rig.spray.is_none() || reduced.levels.iter().any(|level| level.spray_ids.is_empty()) {
             return Ok(None);
         }
-        let plate_k: Vec<f64> = reduced.levels.iter().map(|level| self.surface_at(&level.spray_ids)).collect();
+        let plate_k: Vec<f64> =
+            reduced.levels.iter().map(|level| self.surface_at(&level.spray_ids)).collect();
         if plate_k.iter().any(|kelvin| !kelvin.is_finite()) {
             return Ok(None);
         }
@@ -261,7 +258,12 @@ impl Prepared {
                 })
                 .collect(),
             plate_k,
-            difference_counts: truth.statistical.difference_counts.iter().map(|level| image(level, 0.0)).collect(),
+            difference_counts: truth
+                .statistical
+                .difference_counts
+                .iter()
+                .map(|level| image(level, 0.0))
+                .collect(),
             difference_error_counts: truth
                 .statistical
                 .standard_error_counts
@@ -285,7 +287,9 @@ impl Prepared {
         let log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
         let seen: Vec<f64> = frames
             .iter()
-            .filter_map(|frame| log.get(usize::try_from(frame.checked_sub(self.begins.frames)?).ok()?).copied())
+            .filter_map(|frame| {
+                log.get(usize::try_from(frame.checked_sub(self.begins.frames)?).ok()?).copied()
+            })
             .collect();
         if seen.is_empty() { f64::NAN } else { seen.iter().sum::<f64>() / seen.len() as f64 }
     }

@@ -39,7 +39,9 @@ impl RunFolder {
             return Err(FolderError {
                 path: root.to_owned(),
                 doing: "starting a run here",
-                source: std::io::Error::other("it already holds a run, and nothing recorded is ever overwritten"),
+                source: std::io::Error::other(
+                    "it already holds a run, and nothing recorded is ever overwritten",
+                ),
             });
         }
         std::fs::create_dir_all(root).map_err(at(root, "making the folder"))?;
@@ -193,8 +195,7 @@ fn readme(name: &str, utc: &str) -> String {
 
 /// RO-Crate 1.1 metadata: a root dataset and its files.
 fn ro_crate(name: &str, utc: &str, files: &[String]) -> String {
-    let parts: Vec<serde_json::Value> =
-        files.iter().map(|file| serde_json::json!({ "@id": file })).collect();
+    let parts: Vec<serde_json::Value> = files.iter().map(|file| serde_json::json!({ "@id": file })).collect();
     let mut graph = vec![
         serde_json::json!({
             "@id": "ro-crate-metadata.json",
@@ -215,7 +216,8 @@ fn ro_crate(name: &str, utc: &str, files: &[String]) -> String {
     for file in files {
         graph.push(serde_json::json!({ "@id": file, "@type": "File", "name": file }));
     }
-    let document = serde_json::json!({ "@context": "https://w3id.org/ro/crate/1.1/context", "@graph": graph });
+    let document =
+        serde_json::json!({ "@context": "https://w3id.org/ro/crate/1.1/context", "@graph": graph });
     let mut text = serde_json::to_string_pretty(&document).expect("plain JSON values");
     text.push('\n');
     text
@@ -234,9 +236,10 @@ mod tests {
         folder.seal("test", "2026-01-01T00:00:00Z").unwrap();
         let manifest = std::fs::read_to_string(folder.root().join("manifest-sha256.txt")).unwrap();
         // FIPS 180-2, appendix B.1: SHA-256 of "abc".
-        assert!(manifest.contains(
-            "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad  result/x.bin"
-        ));
+        assert!(
+            manifest
+                .contains("ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad  result/x.bin")
+        );
         assert_eq!(manifest.lines().count(), 4);
     }
 

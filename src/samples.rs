@@ -32,7 +32,8 @@ pub fn open(path: &Path) -> Result<Source, String> {
         Ok(text) => Ok(Source { name, text, folder }),
         Err(error) => {
             let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-            let plain = [stem.clone(), format!("{stem}.toml"), format!("configs/{stem}.toml")].contains(&name);
+            let plain =
+                [stem.clone(), format!("{stem}.toml"), format!("configs/{stem}.toml")].contains(&name);
             let embedded = SAMPLES.iter().find(|(sample, _)| plain && *sample == stem);
             match embedded {
                 Some((_, text)) if error.kind() == std::io::ErrorKind::NotFound => {

@@ -2,7 +2,9 @@
 
 use crate::archive::Archive;
 use crate::calibrate::{self, CalibrateError, Calibration};
-use crate::campaign::{CampaignError, Ended, Engine, Outcome, RecordError, Recorder, StopFlag, header, safe_state};
+use crate::campaign::{
+    CampaignError, Ended, Engine, Outcome, RecordError, Recorder, StopFlag, header, safe_state,
+};
 use crate::clock::Clock;
 use crate::config::{Config, ConfigError};
 use crate::console::Console;
@@ -185,8 +187,9 @@ pub fn resume(root: &Path, clock: Clock, stop: StopFlag) -> Result<String, Sessi
 ///
 /// [`SessionError`], as [`run`].
 pub fn calibrate(setting: &Setting<'_>, out: &Path) -> Result<Calibrated, SessionError> {
-    let plan = Plan::of_standard_curve(setting.config)
-        .ok_or_else(|| SessionError::Other("calibrate: the campaign file has no [calibration] table".to_owned()))?;
+    let plan = Plan::of_standard_curve(setting.config).ok_or_else(|| {
+        SessionError::Other("calibrate: the campaign file has no [calibration] table".to_owned())
+    })?;
     let folder = RunFolder::create(out)?;
     folder.write(&folder.campaign(), setting.source.text.as_bytes())?;
     let c = &setting.config.camera;
@@ -260,9 +263,18 @@ fn refit(
     for entry in &entries {
         reduced.apply(&entry.record, &mut archive)?;
     }
-    let estimator = estimator.or_else(|| fitting::estimator(&config.fit.estimator)).unwrap_or(Estimator::Default);
+    let estimator =
+        estimator.or_else(|| fitting::estimator(&config.fit.estimator)).unwrap_or(Estimator::Default);
     let truth = result::read_world(&folder.world())?;
-    Ok(result::write(out, &reduced, config, calibrated, estimator, truth.as_ref())?)
+    Ok(result::write(
+        out,
+        &reduced,
+        config,
+        calibrated,
+        estimator,
+        truth.as_ref(),
+        &result::read_telemetry(folder.root()),
+    )?)
 }
 
 /// Acquires or copies the calibration into the run folder.
@@ -305,7 +317,8 @@ fn store_calibration(
     text.push('\n');
     folder.write(path, text.as_bytes())?;
     let shape = vec![config.camera.rows, config.camera.columns];
-    let flat = crate::files::npy::Array { shape, values: crate::files::npy::Values::F64(calibrated.flat.clone()) };
+    let flat =
+        crate::files::npy::Array { shape, values: crate::files::npy::Values::F64(calibrated.flat.clone()) };
     folder.write(&path.with_file_name("flat.npy"), &flat.to_bytes())?;
     Ok(())
 }
@@ -318,17 +331,22 @@ fn load_calibration(folder: &Path, config: &Config) -> Result<Calibrated, Sessio
         .map_err(|error| SessionError::Other(format!("calibration {}: {error}", path.display())))?;
     calibration.check_key(config)?;
     let path = folder.join("flat.npy");
-    let flat = crate::files::npy::read(&path).map_err(|error| SessionError::Other(error.to_string()))?.to_f64();
+    let flat =
+        crate::files::npy::read(&path).map_err(|error| SessionError::Other(error.to_string()))?.to_f64();
     if flat.len() != config.camera.rows * config.camera.columns {
-        return Err(SessionError::Other(format!("{}: the flat has another size than the frames", path.display())));
+        return Err(SessionError::Other(format!(
+            "{}: the flat has another size than the frames",
+            path.display()
+        )));
     }
     Ok(Calibrated { calibration, flat })
 }
 
 fn config_of(folder: &RunFolder) -> Result<(Source, Config), SessionError> {
     let path = folder.campaign();
-    let text = std::fs::read_to_string(&path)
-        .map_err(|error| SessionError::Other(format!("{}: {error}. Is this a run folder?", path.display())))?;
+    let text = std::fs::read_to_string(&path).map_err(|error| {
+        SessionError::Other(format!("{}: {error}. Is this a run folder?", path.display()))
+    })?;
     let name = path.display().to_string();
     let config = Config::parse(&name, &text)?;
     Ok((Source { name, text, folder: folder.root().to_owned() }, config))
@@ -353,8 +371,9 @@ fn check_config(entries: &[Entry], source: &Source) -> Result<(), SessionError> 
 
 fn prepare(setting: &Setting<'_>, view: View) -> Result<Prepared, SessionError> {
     let console = Console::new("rendering");
-    let prepared =
-        rigs::prepare(setting.config, view, &setting.source.folder, &|text, done| console.fraction(text, done));
+    let prepared = rigs::prepare(setting.config, view, &setting.source.folder, &|text, done| {
+        console.fraction(text, done)
+    });
     console.finish();
     Ok(prepared?)
 }
@@ -420,7 +439,9 @@ fn finish(
     }
     console.fraction("maps, pictures and report", 0.7);
     let truth = result::read_world(&folder.world())?;
-    let summary = result::write(&folder.result(), reduced, config, calibrated, estimator, truth.as_ref())?;
+    let telemetry = result::read_telemetry(folder.root());
+    let summary =
+        result::write(&folder.result(), reduced, config, calibrated, estimator, truth.as_ref(), &telemetry)?;
     console.finish();
     let machine = serde_json::json!({
         "wall_s": setting.clock.elapsed().as_secs_f64(),

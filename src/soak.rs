@@ -67,7 +67,8 @@ impl Judge {
         }
         let frozen_s = now_s - self.changed_s.unwrap_or(now_s);
         if frozen_s > self.rules.stale_s {
-            let reason = format!("the reading has been exactly {value_k:.3} K for {frozen_s:.0} s: not fresh");
+            let reason =
+                format!("the reading has been exactly {value_k:.3} K for {frozen_s:.0} s: not fresh");
             return self.waiting(now_s - begun, reason, None);
         }
         let low = self.target_k - self.rules.band_k;

@@ -92,8 +92,9 @@ impl WorldTruth {
             // The line's mean is as uncertain as the mean of its points; divided by slope and curve it is in K.
             let levels = self.difference_error_counts.len() as f64;
             let square: f64 = self.difference_error_counts.iter().map(|level| level[pixel].powi(2)).sum();
-            truth.error_k[pixel] =
-                (square / levels).sqrt() / levels.sqrt() / line.slope.abs() * self.emissivity_plate / counts_per_k;
+            truth.error_k[pixel] = (square / levels).sqrt() / levels.sqrt() / line.slope.abs()
+                * self.emissivity_plate
+                / counts_per_k;
         }
         truth
     }

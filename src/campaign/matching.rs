@@ -44,9 +44,8 @@ impl Matcher {
     /// Words that say how the stamp misses the grid.
     pub(super) fn place(&mut self, device_ns: u64, due: u32) -> Result<Place, String> {
         let period = i128::from(self.program.period_ns);
-        let origin = *self
-            .origin_ns
-            .get_or_insert(i128::from(device_ns) - i128::from(self.program.frame_ns(due, 0)));
+        let origin =
+            *self.origin_ns.get_or_insert(i128::from(device_ns) - i128::from(self.program.frame_ns(due, 0)));
         let since = i128::from(device_ns) - origin;
         let pulse = (since + period / 2).div_euclid(period);
         let off = since - pulse * period;

@@ -109,13 +109,17 @@ pub enum CampaignError {
         reason: String,
     },
     /// The calibrator's protection has acted.
-    #[error("plate calibrator: its cutout has tripped at {apparent_k:.1} K. Find out why before clearing it at the instrument.")]
+    #[error(
+        "plate calibrator: its cutout has tripped at {apparent_k:.1} K. Find out why before clearing it at the instrument."
+    )]
     Tripped {
         /// Display in K.
         apparent_k: f64,
     },
     /// A value of the world is outside a limit of the plan.
-    #[error("plate calibrator: {reading_k:.1} K is above the limit of {limit_k:.1} K. The plate is being cooled.")]
+    #[error(
+        "plate calibrator: {reading_k:.1} K is above the limit of {limit_k:.1} K. The plate is being cooled."
+    )]
     TooHot {
         /// Display in K.
         reading_k: f64,
@@ -123,7 +127,9 @@ pub enum CampaignError {
         limit_k: f64,
     },
     /// A mistake of ours inside the engine.
-    #[error("the campaign engine stopped on a broken assumption ({0}); the rig was brought to its safe state. Please report it.")]
+    #[error(
+        "the campaign engine stopped on a broken assumption ({0}); the rig was brought to its safe state. Please report it."
+    )]
     Internal(String),
 }
 
@@ -229,7 +235,9 @@ impl Engine<'_> {
                             .map(String::as_str)
                             .or_else(|| panic.downcast_ref::<&str>().copied())
                             .unwrap_or("no words");
-                        std::task::Poll::Ready(Err(Interrupt::Error(CampaignError::Internal(words.to_owned()))))
+                        std::task::Poll::Ready(Err(Interrupt::Error(CampaignError::Internal(
+                            words.to_owned(),
+                        ))))
                     }
                 }
             })
@@ -459,7 +467,10 @@ impl Engine<'_> {
         Ok(true)
     }
 
-    #[expect(clippy::too_many_arguments, reason = "one cycle's whole context; a struct would live for this call only")]
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "one cycle's whole context; a struct would live for this call only"
+    )]
     async fn collect_cycle(
         &mut self,
         level: u32,
@@ -596,7 +607,9 @@ impl Engine<'_> {
             level: level + 1,
             rejected: u32::try_from(rejected.len()).unwrap_or(u32::MAX),
             allowed: self.plan.retakes_max,
-            reason: rejected.last().map_or_else(|| "the plate left its band".to_owned(), |(_, why)| why.clone()),
+            reason: rejected
+                .last()
+                .map_or_else(|| "the plate left its band".to_owned(), |(_, why)| why.clone()),
         }
     }
 

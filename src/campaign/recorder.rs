@@ -38,7 +38,10 @@ struct Recent(HashMap<(String, u64), Arc<[u16]>>);
 
 impl FrameSource for Recent {
     fn load(&mut self, file: &str, index: u64, _crc32: u32) -> Result<Arc<[u16]>, String> {
-        self.0.get(&(file.to_owned(), index)).cloned().ok_or_else(|| format!("{file}[{index}] is not at hand"))
+        self.0
+            .get(&(file.to_owned(), index))
+            .cloned()
+            .ok_or_else(|| format!("{file}[{index}] is not at hand"))
     }
 }
 
@@ -145,6 +148,7 @@ impl Recorder {
         let settles = matches!(record, Record::CycleAccepted { .. } | Record::CycleRejected { .. });
         if settles {
             self.flush_frames()?;
+            self.telemetry.flush().map_err(|source| self.telemetry_error(source))?;
         }
         let entry = self.journal.append(t_ns, record)?;
         self.reduced.apply(&entry.record, &mut self.recent)?;

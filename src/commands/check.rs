@@ -43,11 +43,23 @@ fn words(config: &Config, plan: &Plan, cost: &Cost, curve: Option<&Plan>) -> Str
     let mut out = format!("{}\n\n", config.campaign.name);
     let rig = if config.rig.is_some() { "simulated" } else { "real" };
     // Writing to a String cannot fail.
-    let _ = writeln!(out, "rig       {rig}: plate {} at {}, trigger {} at {}, camera {} at {}",
-        config.plate.driver, config.plate.address, config.trigger.driver, config.trigger.address,
-        config.camera.driver, config.camera.address);
-    let _ = writeln!(out, "limits    plate {:.1} K, injector pulse {} ms, injections at least {} s apart",
-        config.plate.limit_k, config.trigger.injection_limit_s * 1e3, config.trigger.injection_interval_limit_s);
+    let _ = writeln!(
+        out,
+        "rig       {rig}: plate {} at {}, trigger {} at {}, camera {} at {}",
+        config.plate.driver,
+        config.plate.address,
+        config.trigger.driver,
+        config.trigger.address,
+        config.camera.driver,
+        config.camera.address
+    );
+    let _ = writeln!(
+        out,
+        "limits    plate {:.1} K, injector pulse {} ms, injections at least {} s apart",
+        config.plate.limit_k,
+        config.trigger.injection_limit_s * 1e3,
+        config.trigger.injection_interval_limit_s
+    );
     if let Some(curve) = curve {
         out.push_str("\nFirst the standard curve, without chamber and injector:\n");
         out.push_str(&curve.describe());

@@ -5,6 +5,7 @@ use crate::estimate::calibration::SakumaHattori;
 use crate::estimate::line::Fieller;
 use crate::estimate::map::{self, DitMap, Estimator};
 use crate::files::{self, ResultMeta};
+use crate::session;
 use crate::stack::{Calibration, CaseCurve, Fitted, Stack, StackError};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -87,10 +88,23 @@ pub fn run(args: Args) -> CommandResult {
 
 /// Refits a run folder from its journal and frames.
 fn fit_run(args: &Args) -> CommandResult {
-    Err(CommandError::failure(format!(
-        "fit {}: refitting a run folder is not there yet",
-        args.path.display()
-    )))
+    let Some(out) = &args.out else {
+        return Err(CommandError::usage(
+            "fit: refitting a run needs --out DIR; the recorded result is never touched",
+        ));
+    };
+    let estimator = Some(args.estimator.into());
+    let words = match &args.calibration {
+        Some(calibration) => session::refit_with(&args.path, calibration, out, estimator)?,
+        None => session::replay(&args.path, out, estimator)?,
+    };
+    if args.json {
+        let path = out.join("summary.json");
+        let text = std::fs::read_to_string(&path)
+            .map_err(|error| CommandError::failure(format!("{}: {error}", path.display())))?;
+        return super::print(&text);
+    }
+    super::print(&words)
 }
 
 fn fit_stack(args: &Args) -> CommandResult {

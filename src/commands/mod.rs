@@ -9,8 +9,8 @@ use crate::campaign::StopFlag;
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::interrupt;
-use crate::session::{SessionError, Setting};
 use crate::samples::{self, Source};
+use crate::session::{SessionError, Setting};
 use std::io::Write;
 use std::path::Path;
 pub mod mie;
@@ -47,7 +47,8 @@ impl CommandError {
 /// Reads and checks a campaign file.
 fn load(path: &Path) -> Result<(Source, Config), CommandError> {
     let source = samples::open(path).map_err(CommandError::usage)?;
-    let config = Config::parse(&source.name, &source.text).map_err(|error| CommandError::usage(error.to_string()))?;
+    let config =
+        Config::parse(&source.name, &source.text).map_err(|error| CommandError::usage(error.to_string()))?;
     Ok((source, config))
 }
 

@@ -22,9 +22,8 @@ pub struct Args {
 /// Status 5 when the results differ or the record is damaged.
 pub fn run(args: Args) -> CommandResult {
     let temporary = args.out.is_none();
-    let out = args.out.unwrap_or_else(|| {
-        std::env::temp_dir().join(format!("ditd-replay-{}", std::process::id()))
-    });
+    let out =
+        args.out.unwrap_or_else(|| std::env::temp_dir().join(format!("ditd-replay-{}", std::process::id())));
     let result = out.join("result");
     let replayed = session::replay(&args.folder, &result, None);
     let compared = replayed.map_err(CommandError::from).and_then(|words| {

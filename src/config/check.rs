@@ -1,12 +1,13 @@
 //! Limits and impossible combinations of a campaign file. Pure.
 
 use super::{Config, Pace};
+use ditd_sim::rig::RigError;
 
 /// Something that cannot be done as written.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {
     /// The key, as `table.key`.
-    pub key: &'static str,
+    pub key: String,
     /// What is wrong and what would be right.
     pub message: String,
 }
@@ -18,12 +19,13 @@ pub(super) fn problems(config: &Config) -> Vec<Problem> {
     soak(config, &mut found);
     instruments(config, &mut found);
     optics(config, &mut found);
+    world(config, &mut found);
     found
 }
 
 fn require(found: &mut Vec<Problem>, holds: bool, key: &'static str, message: impl FnOnce() -> String) {
     if !holds {
-        found.push(Problem { key, message: message() });
+        found.push(Problem { key: key.to_owned(), message: message() });
     }
 }
 
@@ -61,7 +63,10 @@ fn campaign(config: &Config, found: &mut Vec<Problem>) {
     positive(found, c.pause_s, "campaign.pause_s", "seconds");
     let busy = config.camera.integration_s + config.camera.readout_s;
     require(found, c.frame_period_s >= busy, "campaign.frame_period_s", || {
-        format!("{} s is shorter than exposure plus read-out ({busy} s): frames would overlap", c.frame_period_s)
+        format!(
+            "{} s is shorter than exposure plus read-out ({busy} s): frames would overlap",
+            c.frame_period_s
+        )
     });
     let between = f64::from(c.warm_up + c.blanks + 1) * c.frame_period_s + c.pause_s;
     require(found, between >= config.trigger.injection_interval_limit_s, "campaign.pause_s", || {
@@ -77,9 +82,12 @@ fn campaign(config: &Config, found: &mut Vec<Problem>) {
     require(found, c.epoch.parse::<jiff::Timestamp>().is_ok(), "campaign.epoch", || {
         format!("must be an RFC 3339 time such as 2026-01-01T00:00:00Z, found {:?}", c.epoch)
     });
-    require(found, !(c.pace == Pace::Real && config.rig.is_none()) || config.rig.is_none(), "campaign.pace", || {
-        "a real rig has only one pace".to_owned()
-    });
+    require(
+        found,
+        !(c.pace == Pace::Real && config.rig.is_none()) || config.rig.is_none(),
+        "campaign.pace",
+        || "a real rig has only one pace".to_owned(),
+    );
 }
 
 fn soak(config: &Config, found: &mut Vec<Problem>) {
@@ -124,9 +132,12 @@ fn instruments(config: &Config, found: &mut Vec<Problem>) {
     require(found, (258.0..=773.15).contains(&config.plate.limit_k), "plate.limit_k", || {
         format!("must lie between 258 and 773 K, found {}", config.plate.limit_k)
     });
-    require(found, (0.9..=1.0).contains(&config.plate.display_emissivity), "plate.display_emissivity", || {
-        "the display's emissivity setting goes from 0.90 to 1.00".to_owned()
-    });
+    require(
+        found,
+        (0.9..=1.0).contains(&config.plate.display_emissivity),
+        "plate.display_emissivity",
+        || "the display's emissivity setting goes from 0.90 to 1.00".to_owned(),
+    );
     positive(found, config.plate.rate_k_per_min, "plate.rate_k_per_min", "kelvin per minute");
     positive(found, config.plate.stability_k, "plate.stability_k", "kelvin");
     let t = &config.trigger;
@@ -162,7 +173,9 @@ fn instruments(config: &Config, found: &mut Vec<Problem>) {
     positive(found, c.integration_s, "camera.integration_s", "seconds");
     require(found, c.readout_s >= 0.0, "camera.readout_s", || "must not be negative".to_owned());
     positive(found, c.electrons_per_count, "camera.electrons_per_count", "electrons");
-    require(found, c.read_noise_counts >= 0.0, "camera.read_noise_counts", || "must not be negative".to_owned());
+    require(found, c.read_noise_counts >= 0.0, "camera.read_noise_counts", || {
+        "must not be negative".to_owned()
+    });
 }
 
 fn optics(config: &Config, found: &mut Vec<Problem>) {
@@ -206,4 +219,39 @@ fn optics(config: &Config, found: &mut Vec<Problem>) {
             "must lie in [0, 1)".to_owned()
         });
     }
+}
+
+/// The simulated world and its fit to the rest of the file.
+fn world(config: &Config, found: &mut Vec<Problem>) {
+    let Some(rig) = &config.rig else { return };
+    if let Err(error) = rig.validate() {
+        let (key, message) = match error {
+            RigError::Config { key, why } => (format!("rig.{}", key.trim_start_matches("rig.")), why),
+            other => ("rig".to_owned(), other.to_string()),
+        };
+        found.push(Problem { key, message });
+    }
+    for (table, checked) in [
+        ("plate", rig.plate.check()),
+        ("calibrator", rig.calibrator.check()),
+        ("pulser", rig.pulser.check()),
+    ] {
+        if let Err(message) = checked {
+            let key = message.split([' ', ':']).next().unwrap_or_default();
+            found.push(Problem { key: format!("rig.{table}.{key}"), message: message.clone() });
+        }
+    }
+    let c = &config.camera;
+    require(found, (rig.view.rows, rig.view.columns) == (c.rows, c.columns), "rig.view.rows", || {
+        format!(
+            "the simulated camera has {} × {} pixels, [camera] asks for {} × {}",
+            rig.view.columns, rig.view.rows, c.columns, c.rows
+        )
+    });
+    require(found, rig.detector.bits == c.bits, "camera.bits", || {
+        format!("the simulated detector has {} bits, [camera] says {}", rig.detector.bits, c.bits)
+    });
+    require(found, config.calibration.is_none() || rig.detector.shutter_temperature_k.is_some(), "rig.detector", || {
+        "the calibration needs a camera with a shutter: shutter_temperature_k is missing".to_owned()
+    });
 }

@@ -26,7 +26,7 @@ impl ConfigError {
         let parts: Vec<String> = problems
             .iter()
             .map(|problem| {
-                let place = locate(text, problem.key);
+                let place = locate(text, &problem.key);
                 render(name, place.as_ref(), &format!("`{}`: {}", problem.key, problem.message), &[])
             })
             .collect();
@@ -95,7 +95,8 @@ fn explain(message: &str) -> (String, Vec<String>) {
     let Some((headline, allowed)) = message.split_once(", expected ") else {
         return (message.trim().to_owned(), Vec::new());
     };
-    let quoted = |text: &str| -> Vec<String> { text.split('`').skip(1).step_by(2).map(str::to_owned).collect() };
+    let quoted =
+        |text: &str| -> Vec<String> { text.split('`').skip(1).step_by(2).map(str::to_owned).collect() };
     let keys = quoted(allowed);
     let Some(wrong) = quoted(headline).into_iter().next() else {
         return (message.trim().to_owned(), Vec::new());
@@ -135,5 +136,10 @@ fn locate(text: &str, path: &str) -> Option<Place> {
             }
         }
     }
-    header.map(|(index, line)| Place { line: index + 1, column: 1, length: line.len(), text: line.to_owned() })
+    header.map(|(index, line)| Place {
+        line: index + 1,
+        column: 1,
+        length: line.len(),
+        text: line.to_owned(),
+    })
 }

@@ -264,7 +264,8 @@ impl Config {
     /// [`ConfigError`] when the text is no TOML, has unknown or missing keys, or asks for something impossible.
     pub fn parse(name: &str, text: &str) -> Result<Self, ConfigError> {
         diagnose::refuse_newer_schema(name, text)?;
-        let config: Self = toml::from_str(text).map_err(|error| ConfigError::from_toml(name, text, &error))?;
+        let config: Self =
+            toml::from_str(text).map_err(|error| ConfigError::from_toml(name, text, &error))?;
         let problems = check::problems(&config);
         if problems.is_empty() { Ok(config) } else { Err(ConfigError::from_problems(name, text, &problems)) }
     }

@@ -348,9 +348,10 @@ pub fn lines_with_same_weights(
         .map_init(Pixel::default, |pixel, i| {
             solver.gather(i, pixel);
             let weights = solver.weights(pixel)?;
-            let present = used.iter().zip(&statistics.levels).filter(|(_, level)| {
-                level.count[i] > 0.0 && level.mean[i].is_finite()
-            });
+            let present = used
+                .iter()
+                .zip(&statistics.levels)
+                .filter(|(_, level)| level.count[i] > 0.0 && level.mean[i].is_finite());
             let (mut others_x, mut others_y) = (Vec::with_capacity(levels), Vec::with_capacity(levels));
             for (&k, _) in present {
                 others_x.push(x[k]);

@@ -10,11 +10,11 @@ use crate::light::band::{Band, BandError, Response};
 use crate::light::fuel::{Fuel, FuelError};
 use crate::light::window::{Material, Plate as WindowPlate};
 use crate::rig::RigError;
+use crate::scene::compact;
 use crate::scene::deposit::{self, DepositOptions};
 use crate::scene::field::CfdSpray;
-use crate::scene::optics::{self, Source, Species, Strength};
 use crate::scene::import::{self, ImportOptions, SceneError, Time};
-use crate::scene::compact;
+use crate::scene::optics::{self, Source, Species, Strength};
 use crate::tracer::camera::{Camera, PixelFilter, Projection};
 use crate::tracer::error::TracerError;
 use crate::tracer::image::{RenderOptions, render_image};
@@ -79,7 +79,8 @@ pub fn world(
     let optics = match chamber {
         None => Optics::bench(spectrum, plate, &config.detector)?,
         Some(chamber) => {
-            let window = |window: Option<&WindowConfig>| window_spectrum(window, &band, chamber.wall_temperature_k);
+            let window =
+                |window: Option<&WindowConfig>| window_spectrum(window, &band, chamber.wall_temperature_k);
             let enclosure = Enclosure {
                 near: window(config.window.as_ref().map(|both| &both.near))?,
                 far: window(config.window.as_ref().map(|both| &both.far))?,

@@ -4,8 +4,8 @@
 //! not tick through idle pulses: it computes the next one with an active output and sleeps until then, so that a
 //! pause of a campaign costs nothing. Widths and delays are numbers in a [`Pulse`], never sleeps.
 
-use crate::rig::pulse::Pulse;
 use crate::rig::line::{Line, LineFault, Unsent, check_seconds};
+use crate::rig::pulse::Pulse;
 use ditd_drivers::instrument::Identity;
 use ditd_drivers::quantum_9520::{
     Act, CAMERA_CHANNEL, Command, INJECTOR_CHANNEL, Key, Kind, Reply, UnitError, Value, belongs_to, kind,
