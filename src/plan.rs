@@ -89,7 +89,7 @@ impl Plan {
     pub fn of_standard_curve(config: &Config) -> Option<Self> {
         let calibration = config.calibration.as_ref()?;
         let period_ns = ns(config.campaign.frame_period_s);
-        let warm_up = config.campaign.warm_up;
+        let warm_up = calibration.warm_up;
         let program = ShotProgram {
             period_ns,
             wait_periods: 1,

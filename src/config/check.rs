@@ -212,6 +212,9 @@ fn optics(config: &Config, found: &mut Vec<Problem>) {
                 format!("{level} K is outside 258 K … plate.limit_k = {} K", config.plate.limit_k)
             });
         }
+        require(found, calibration.warm_up <= 1000, "calibration.warm_up", || {
+            format!("at most 1000 discarded frames, found {}", calibration.warm_up)
+        });
         require(found, calibration.frames >= 2, "calibration.frames", || "at least two frames".to_owned());
     }
     if let Some(target) = &config.target {

@@ -238,6 +238,9 @@ pub struct Calibration {
     pub levels_k: Vec<f64>,
     /// Frames averaged at each level, and as many with the shutter closed.
     pub frames: u32,
+    /// Frames thrown away before each series: more than in a campaign, since the series with the shutter follows a
+    /// long pause and the other does not, so that a camera's warming up does not cancel.
+    pub warm_up: u32,
 }
 
 /// `[fit]`
