@@ -141,8 +141,8 @@ fn line_of_sight_integrals_agree() {
 }
 
 fn profile(form: &serde_json::Value, length: f64) -> Box<dyn Fn(f64) -> f64> {
-    let f = |key: &str| form[key].as_f64().unwrap();
-    match form["type"].as_str().unwrap() {
+    let f = |key: &str| form[key].as_f64().expect("a number");
+    match form["type"].as_str().expect("a form") {
         "const" => {
             let a = f("a");
             Box::new(move |_| a)

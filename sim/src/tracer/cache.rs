@@ -27,13 +27,19 @@ const FIRST_DIMENSIONS: usize = 6;
 const ORDER_DIMENSIONS: usize = 4;
 
 /// Roulette starts below this mean weight, which it restores.
-const ROULETTE_WEIGHT: f32 = 0.05;
+const ROULETTE_WEIGHT: f32 = 0.2;
 
 /// A march stops when no group lets more than this through: the error that it admits.
-const OPAQUE: f32 = 1e-5;
+const OPAQUE: f32 = 1e-4;
 
-/// Scatterings after which a path is cut; with roulette, one in 10^5 paths of an albedo of 1 gets there.
+/// Scatterings after which a path is cut; with roulette, fewer than one in 10^5 paths get there.
 const ORDERS_MAX: usize = 512;
+
+/// Segments of a path that march on the cells themselves; later ones may take blocks of cells.
+const FINE_ORDERS: usize = 2;
+
+/// First coordinate of the choice of the cell whose emission stands for a segment's.
+const EMISSION_DIMENSION: usize = 100_000;
 
 /// Optical depth of a leaf that is still taken as one.
 const LEAF_DEPTH: f32 = 0.3;
@@ -304,12 +310,13 @@ pub(super) type Halves<const N: usize> = [[[Lane; N]; 3]; 2];
 
 /// What a path needs to know of its world.
 pub(super) struct World<'a, const N: usize> {
-    pub(super) medium: &'a Packed<N>,
+    /// The medium on blocks of cells, for the later segments of a path.
+    pub(super) coarse: Option<&'a Packed<N>>,
     pub(super) leaves: &'a Leaves,
     pub(super) phase: &'a PhaseLanes<N>,
     pub(super) plate: Option<&'a Plate>,
     pub(super) sights: &'a Sights,
-    /// The lattice on which the leaves were cut.
+    /// The medium itself, on which the leaves were cut.
     pub(super) fine: &'a Packed<N>,
     pub(super) groups: usize,
     pub(super) seed: u64,
@@ -481,7 +488,6 @@ fn trace<const N: usize>(
     seen: [Lane; N],
     rows: &mut [[Lane; N]],
 ) -> u64 {
-    let medium = world.medium;
     let groups = narrow(real(world.groups));
     let (cosine, sine, mut weight) = world.phase.sample(point.coordinate(0));
     for n in 0..N {
@@ -491,12 +497,19 @@ fn trace<const N: usize>(
     let mut origin = start;
     for order in 0..ORDERS_MAX {
         let dimension = FIRST_DIMENSIONS + ORDER_DIMENSIONS * order;
+        let medium = if order < FINE_ORDERS { world.fine } else { world.coarse.unwrap_or(world.fine) };
         let plate = world.plate.and_then(|p| p.hit(origin, direction));
         let far = plate.unwrap_or(f64::INFINITY);
         let mut u = point.coordinate(dimension);
         let mut total = 0.0_f64;
         let mut choice =
             Choice { ordinal: u32::MAX, start: 0.0, length: 0.0, weight: [Lane::ZERO; N], probability: 0.0 };
+        // Channel 0 is summed over all cells; the others, whose sources change little along a segment, are taken from
+        // one cell drawn by its emission, which keeps them unbiased and saves most of the memory traffic.
+        let mut v = point.coordinate(EMISSION_DIMENSION + order);
+        let mut emission_total = 0.0_f64;
+        let mut emitter =
+            Choice { ordinal: u32::MAX, start: 0.0, length: 0.0, weight: [Lane::ZERO; N], probability: 1.0 };
         medium.lattice.walk(origin, direction, far, |ordinal, t0, t1| {
             let o = ordinal as usize;
             let length = narrow(t1 - t0);
@@ -504,17 +517,33 @@ fn trace<const N: usize>(
             let mut scattered = Lane::ZERO;
             let mut absorbed = [Lane::ZERO; N];
             let mut most = Lane::ZERO;
+            let [k, albedo, source] = &medium.core[o];
+            let mut emitted = Lane::ZERO;
             for n in 0..N {
-                let e = exp_minus(medium.k[o][n].map(|k| k * length));
+                let e = exp_minus(k[n].map(|k| k * length));
                 absorbed[n] = entering[n] * e.map(|e| 1.0 - e);
                 weight[n] = entering[n] * e;
-                scattered.add_product(absorbed[n], medium.albedo[o][n]);
+                scattered.add_product(absorbed[n], albedo[n]);
+                let own = absorbed[n] * source[n];
+                rows[ROWS_BEFORE_CHANNELS][n] = rows[ROWS_BEFORE_CHANNELS][n] + own;
+                emitted = emitted + own;
                 most = most.zip(weight[n], f32::max);
             }
-            let sources = &medium.source[o * medium.channels..(o + 1) * medium.channels];
-            for (row, source) in rows[ROWS_BEFORE_CHANNELS..].iter_mut().zip(sources) {
-                for n in 0..N {
-                    row[n].add_product(absorbed[n], source[n]);
+            let own = f64::from(emitted.sum());
+            if own > 0.0 && medium.channels > 1 {
+                emission_total += own;
+                let share = own / emission_total;
+                if v < share {
+                    v /= share;
+                    emitter = Choice {
+                        ordinal,
+                        start: t0,
+                        length: own,
+                        weight: absorbed,
+                        probability: emitted.sum(),
+                    };
+                } else {
+                    v = (v - share) / (1.0 - share);
                 }
             }
             let here = scattered.sum();
@@ -532,6 +561,16 @@ fn trace<const N: usize>(
             }
             most.0.iter().fold(0.0_f32, |a, &b| a.max(b)) > OPAQUE
         });
+        if emitter.ordinal != u32::MAX {
+            let scale = narrow(emission_total / f64::from(emitter.probability));
+            let o = emitter.ordinal as usize;
+            let sources = &medium.source[o * medium.channels..(o + 1) * medium.channels];
+            for (row, source) in rows[ROWS_BEFORE_CHANNELS..].iter_mut().zip(sources).skip(1) {
+                for n in 0..N {
+                    row[n].add_product(emitter.weight[n].map(|w| w * scale), source[n]);
+                }
+            }
+        }
         let row = &mut rows[usize::from(plate.is_none())];
         for n in 0..N {
             row[n] = row[n] + weight[n];

@@ -31,6 +31,9 @@ const PROBE_STRIDE: usize = 17;
 /// Sub-sights per axis in pixels that the plate's edge crosses.
 const EDGE_SIGHTS: usize = 4;
 
+/// Cells along an axis from which on later segments of paths march on blocks of 2³ cells.
+const COARSE_FROM_CELLS: usize = 40;
+
 /// Pixels of one parallel task.
 const TASK_PIXELS: usize = 64;
 
@@ -45,7 +48,7 @@ pub struct RenderOptions {
     pub scatter: bool,
     /// Upper limit of the number of paths; when it is reached the operator's errors say so.
     pub paths_max: u64,
-    /// Paths march on blocks of this many cells cubed; 0 or 1: on the cells themselves.
+    /// From its third segment on a path marches on blocks of this many cells cubed (1 = the cells; 0 = by their number).
     pub path_coarsening: usize,
 }
 
@@ -200,6 +203,7 @@ impl Job<'_> {
         stats: &mut Vec<(String, f64)>,
     ) -> Scattered<N> {
         let factor = match self.options.path_coarsening {
+            0 if self.medium.cells.iter().any(|&n| n >= COARSE_FROM_CELLS) => 2,
             0 => 1,
             f => f,
         };
@@ -207,7 +211,7 @@ impl Job<'_> {
         let leaves = Leaves::new(fine, &self.sights);
         let phase = PhaseLanes::new(&self.medium.phase);
         let world = World {
-            medium: coarse.as_ref().unwrap_or(fine),
+            coarse: coarse.as_ref(),
             leaves: &leaves,
             phase: &phase,
             plate: self.plate,

@@ -17,6 +17,8 @@ pub(super) struct Packed<const N: usize> {
     pub(super) albedo: Vec<[Lane; N]>,
     /// Emission coefficient over extinction, `[ordinal · channels + channel]`.
     pub(super) source: Vec<[Lane; N]>,
+    /// Extinction, albedo and source of channel 0 side by side: all that a path needs in most cells, `[ordinal]`.
+    pub(super) core: Vec<[[Lane; N]; 3]>,
     /// Extinction and scattering, mean over groups, `[ordinal]`.
     pub(super) mean_k: Vec<[f32; 2]>,
 }
@@ -66,6 +68,7 @@ impl<const N: usize> Packed<N> {
             k: Vec::new(),
             albedo: Vec::new(),
             source: Vec::new(),
+            core: Vec::new(),
             mean_k: Vec::new(),
         };
         let share = 1.0 / count(factor * factor * factor);
@@ -77,6 +80,8 @@ impl<const N: usize> Packed<N> {
             for c in 0..channels {
                 packed.source.push(over_k(&sum[(2 + c) * groups..(3 + c) * groups]));
             }
+            let last = packed.k.len() - 1;
+            packed.core.push([packed.k[last], packed.albedo[last], packed.source[last * channels]]);
             let mean = |v: &[f64]| narrow((v.iter().sum::<f64>() * share / count(groups)).min(K_MAX));
             packed.mean_k.push([mean(k), mean(sca)]);
         }

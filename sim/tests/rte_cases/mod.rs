@@ -21,9 +21,10 @@ pub struct Row {
 
 impl Row {
     pub fn z(&self) -> impl Iterator<Item = f64> {
-        self.values.iter().filter(|v| v.4 > 0.0).map(|&(_, want, se_want, got, se_got)| {
-            (got - want) / (se_want * se_want + se_got * se_got).sqrt()
-        })
+        self.values
+            .iter()
+            .filter(|v| v.4 > 0.0)
+            .map(|&(_, want, se_want, got, se_got)| (got - want) / se_want.hypot(se_got))
     }
 }
 
