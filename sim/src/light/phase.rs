@@ -194,7 +194,11 @@ impl PhaseTable {
         let wanted = u - self.cumulative[i - 1];
         let slope = (p1 - p0) / (t1 - t0);
         let (mut low, mut high) = (t0, t1);
-        let mut theta = 0.5 * (t0 + t1);
+        // Starts from the inverse for a density that is linear in the angle: two steps then suffice in narrow segments.
+        let (d0, d1) = (0.5 * p0 * t0.sin() * (t1 - t0), 0.5 * p1 * t1.sin() * (t1 - t0));
+        let root = (d0 * d0 + 2.0 * (d1 - d0) * wanted).max(0.0).sqrt();
+        let guess = if d0 + root > 0.0 { (2.0 * wanted / (d0 + root)).clamp(0.0, 1.0) } else { 0.5 };
+        let mut theta = t0 + guess * (t1 - t0);
         for _ in 0..INVERSION_STEPS_MAX {
             let p = p0 + slope * (theta - t0);
             let excess = mass(t0, theta, p0, p) - wanted;
