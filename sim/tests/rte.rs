@@ -265,7 +265,7 @@ fn without_scattering_an_image_is_the_line_of_sight() {
         let answer = render_rays(&body, &[ray], Some(&plate), &RayOptions::default()).unwrap().remove(0);
         assert!((f64::from(image.a_plate[i]) - answer.plate).abs() < 2e-6);
         assert!((f64::from(image.emission[3 * i]) - answer.medium[0]).abs() < 2e-6);
-        assert_eq!(answer.se_plate, 0.0);
+        assert_eq!(answer.paths, 0);
     }
 }
 
