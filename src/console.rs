@@ -2,7 +2,7 @@
 
 use crate::campaign::{Progress, Recorder};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 
 /// Progress on standard error.
 #[derive(Debug)]
@@ -30,7 +30,8 @@ impl Console {
     pub fn line(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.println(format!("{}: {text}", self.title)),
-            None => eprintln!("{}: {text}", self.title),
+            // A terminal that has gone must not end a campaign.
+            None => drop(writeln!(std::io::stderr(), "{}: {text}", self.title)),
         }
     }
 

@@ -1,6 +1,7 @@
 //! Turns signals into the stop wish, on a real-time runtime of its own: the campaign's clock may be virtual.
 
 use crate::campaign::{StopFlag, Wish};
+use std::io::Write;
 
 /// Listens for Ctrl-C, SIGTERM and SIGHUP until the program ends. Ctrl-C once pauses after the cycle, twice stops
 /// now; SIGTERM and SIGHUP stop now.
@@ -10,21 +11,27 @@ use crate::campaign::{StopFlag, Wish};
 /// The system's words when no thread or handler can be had.
 pub fn listen(stop: StopFlag) -> std::io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    // Opened before this returns: without handlers a signal would end the program with a hot plate.
+    let mut streams = {
+        let _inside = runtime.enter();
+        Streams::open()?
+    };
     std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
         runtime.block_on(async move {
-            let Ok(mut streams) = Streams::open() else { return };
             while let Some(interrupt) = streams.next().await {
                 match interrupt {
                     Signal::Interrupt => stop.escalate(),
                     Signal::End => stop.stop(),
                 }
-                match stop.wish() {
+                let text = match stop.wish() {
                     Wish::Pause => {
-                        eprintln!("\nditd: pausing after this cycle; Ctrl-C again stops now. The rig will be made safe.");
+                        "pausing after this cycle; Ctrl-C again stops now. The rig will be made safe."
                     }
-                    Wish::Stop => eprintln!("\nditd: stopping now; the rig is being brought to its safe state."),
-                    Wish::GoOn => {}
-                }
+                    Wish::Stop => "stopping now; the rig is being brought to its safe state.",
+                    Wish::GoOn => continue,
+                };
+                // A terminal that has gone must not keep the next signal from being heard.
+                let _ = writeln!(std::io::stderr(), "\nditd: {text}");
             }
         });
     })?;

@@ -1,8 +1,9 @@
 //! The `ditd` program: parses the command line, runs one command, turns its end into an exit status.
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use ditd::clock::Clock;
 use ditd::commands;
+use std::io::Write;
 use std::process::ExitCode;
 
 /// Differential infrared thermography of fuel sprays: runs the campaign, fits the map, keeps the record.
@@ -37,6 +38,13 @@ enum Command {
     Planck(commands::planck::Args),
     /// Read a CFD spray and print its totals
     Import(commands::import::Args),
+    /// Print the JSON schema of the campaign file
+    Schema,
+    /// Print completions for a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
 }
 
 fn main() -> ExitCode {
@@ -54,11 +62,18 @@ fn main() -> ExitCode {
         Command::Mie(args) => commands::mie::run(args),
         Command::Planck(args) => commands::planck::run(args),
         Command::Import(args) => commands::import::run(args),
+        Command::Schema => commands::schema::run(),
+        Command::Completions { shell } => {
+            let mut text = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "ditd", &mut text);
+            commands::print(&String::from_utf8_lossy(&text))
+        }
     };
     match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("ditd: {error}");
+            // Nobody may be listening; the status tells.
+            let _ = writeln!(std::io::stderr(), "ditd: {error}");
             ExitCode::from(error.code)
         }
     }

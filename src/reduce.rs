@@ -28,6 +28,8 @@ pub struct ReduceError(pub String);
 pub struct LevelState {
     /// Accepted cycles.
     pub accepted: u32,
+    /// Accepted series of frames with the shutter closed.
+    pub references: u32,
     /// Rejected cycles with their reasons.
     pub rejected: Vec<(u32, String)>,
     /// Apparent plate temperature at each accepted cycle, in K.
@@ -165,7 +167,9 @@ impl Reduced {
                 let index = self.level_index(*level)?;
                 self.add_cycle(index, *cycle, frames)?;
                 let state = &mut self.levels[index];
-                if self.shutter_k.is_none() {
+                if self.shutter_k.is_some() {
+                    state.references += 1;
+                } else {
                     state.accepted += 1;
                     state.plate_k.push(reading.apparent.0);
                 }

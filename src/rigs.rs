@@ -6,6 +6,7 @@ use crate::reduce::Reduced;
 use crate::truth::WorldTruth;
 use ditd_drivers::error::DriverError;
 use ditd_drivers::fluke_418x::Fluke418x;
+use ditd_drivers::instrument::{Calibrator, Camera, TriggerUnit};
 use ditd_drivers::quantum_9520::{Quantum9520, TriggerLimits};
 use ditd_drivers::wire::{Wire, WireSettings};
 use ditd_sim::rig::build::{self, BuildError};
@@ -14,6 +15,8 @@ use ditd_sim::rig::chamber::World;
 use ditd_sim::rig::plate::Plate;
 use ditd_sim::rig::truth::{Sampling, Truth};
 use ditd_sim::rig::{fluke_418x as fluke_sim, quantum_9520 as quantum_sim};
+use std::collections::HashMap;
+use std::io::Write;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::mpsc;
@@ -79,7 +82,13 @@ pub struct Beginning {
     pub frames: u64,
     /// Injections so far, on a simulated rig.
     pub injections: u64,
+    /// Whether another session of the same run came before.
+    pub resumed: bool,
 }
+
+/// Number of the first frame of a simulated calibration: far from those of a campaign, so that the same camera never
+/// draws the same noise twice.
+const FIRST_CALIBRATION_FRAME: u64 = 1 << 24;
 
 /// An open rig.
 #[derive(Debug)]
@@ -103,7 +112,8 @@ pub fn prepare(
         Some(rig) => Some(Arc::new(build::world(rig, view, config.campaign.seed, folder, progress)?)),
         None => None,
     };
-    Ok(Prepared { world, ..without_world(config) })
+    let frames = if view == View::Bench { FIRST_CALIBRATION_FRAME } else { 0 };
+    Ok(Prepared { world, begins: Beginning { frames, ..Beginning::default() }, ..without_world(config) })
 }
 
 /// A rig whose simulated camera, if it has one, sees nothing: enough to make it safe.
@@ -142,29 +152,78 @@ impl Prepared {
         Self { begins, ..self }
     }
 
-    /// Opens every instrument. Must run inside the campaign's runtime.
+    /// Opens every instrument, the trigger unit first. When one cannot be opened, those that are open are made safe.
+    /// Must run inside the campaign's runtime.
     ///
     /// # Errors
     ///
     /// [`OpenError`] naming the instrument.
     pub async fn open(&self) -> Result<Opened, OpenError> {
-        let config = &self.config;
-        let start = tokio::time::Instant::now();
-        let rig = config.rig.as_ref();
-        let plate_wire = if config.plate.address == "sim" {
-            let rig = rig.ok_or_else(no_world)?;
-            let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
-            let plate = Arc::new(Mutex::new(Plate::new(rig.plate.clone(), config.campaign.seed)));
-            tokio::spawn(fluke_sim::serve(theirs, Arc::clone(&plate), rig.calibrator.clone(), start));
-            (Wire::over(ours, "plate calibrator at sim"), Some(plate))
-        } else {
-            let settings = line_settings(config.plate.baud, ditd_drivers::fluke_418x::wire_settings());
-            (Wire::open(&config.plate.address, "plate calibrator", &settings).await?, None)
-        };
-        let (plate_wire, plate) = plate_wire;
         let (pulses, received) = mpsc::channel(PULSES_MAX);
-        let trigger_wire = if config.trigger.address == "sim" {
-            let rig = rig.ok_or_else(no_world)?;
+        let start = tokio::time::Instant::now();
+        let mut trigger = self.open_trigger(pulses, start).await?;
+        let others = match self.open_plate(start).await {
+            Ok((mut plate, surface)) => match self.camera(surface, received) {
+                Ok(camera) => Ok((plate, camera)),
+                Err(error) => {
+                    // The first trouble is the one to tell.
+                    let _ = plate.make_safe().await;
+                    Err(error)
+                }
+            },
+            Err(error) => Err(error),
+        };
+        match others {
+            Ok((plate, camera)) => {
+                let camera = Box::new(camera);
+                Ok(Opened {
+                    instruments: Instruments { plate: Box::new(plate), trigger: Box::new(trigger), camera },
+                })
+            }
+            Err(error) => {
+                let _ = trigger.make_safe().await;
+                Err(error)
+            }
+        }
+    }
+
+    /// Opens each instrument on its own and makes it safe at once, injector first: one that is missing does not keep
+    /// the others from it. Returns the troubles.
+    pub async fn make_safe(&self) -> Vec<OpenError> {
+        let (pulses, received) = mpsc::channel(PULSES_MAX);
+        let start = tokio::time::Instant::now();
+        let mut trouble = Vec::new();
+        match self.open_trigger(pulses, start).await {
+            Ok(mut trigger) => trouble.extend(trigger.make_safe().await.err().map(OpenError::from)),
+            Err(error) => trouble.push(error),
+        }
+        let mut surface = None;
+        match self.open_plate(start).await {
+            Ok((mut plate, simulated)) => {
+                surface = simulated;
+                let made = match plate.identify().await {
+                    Ok(_) => plate.make_safe().await,
+                    Err(error) => Err(error),
+                };
+                trouble.extend(made.err().map(OpenError::from));
+            }
+            Err(error) => trouble.push(error),
+        }
+        match self.camera(surface, received) {
+            Ok(mut camera) => trouble.extend(camera.make_safe().await.err().map(OpenError::from)),
+            Err(error) => trouble.push(error),
+        }
+        trouble
+    }
+
+    async fn open_trigger(
+        &self,
+        pulses: mpsc::Sender<ditd_sim::rig::pulse::Pulse>,
+        start: tokio::time::Instant,
+    ) -> Result<Quantum9520, OpenError> {
+        let config = &self.config;
+        let wire = if config.trigger.address == "sim" {
+            let rig = config.rig.as_ref().ok_or_else(no_world)?;
             let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
             tokio::spawn(quantum_sim::serve(theirs, pulses, rig.pulser.clone(), start));
             Wire::over(ours, "trigger unit at sim")
@@ -172,20 +231,30 @@ impl Prepared {
             let settings = line_settings(config.trigger.baud, ditd_drivers::quantum_9520::wire_settings());
             Wire::open(&config.trigger.address, "trigger unit", &settings).await?
         };
-        let camera = self.camera(plate, received)?;
         let limits = TriggerLimits {
             injector_pulse_max_s: config.trigger.injection_limit_s,
             injection_interval_min_s: config.trigger.injection_interval_limit_s,
             camera_integration_s: config.camera.integration_s,
             camera_readout_s: config.camera.readout_s,
         };
-        Ok(Opened {
-            instruments: Instruments {
-                plate: Box::new(Fluke418x::new(plate_wire)),
-                trigger: Box::new(Quantum9520::new(trigger_wire, limits)),
-                camera: Box::new(camera),
-            },
-        })
+        Ok(Quantum9520::new(wire, limits))
+    }
+
+    async fn open_plate(
+        &self,
+        start: tokio::time::Instant,
+    ) -> Result<(Fluke418x, Option<Arc<Mutex<Plate>>>), OpenError> {
+        let config = &self.config;
+        if config.plate.address != "sim" {
+            let settings = line_settings(config.plate.baud, ditd_drivers::fluke_418x::wire_settings());
+            let wire = Wire::open(&config.plate.address, "plate calibrator", &settings).await?;
+            return Ok((Fluke418x::new(wire), None));
+        }
+        let rig = config.rig.as_ref().ok_or_else(no_world)?;
+        let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
+        let plate = Arc::new(Mutex::new(Plate::new(rig.plate.clone(), config.campaign.seed)));
+        tokio::spawn(fluke_sim::serve(theirs, Arc::clone(&plate), rig.calibrator.clone(), start));
+        Ok((Fluke418x::new(Wire::over(ours, "plate calibrator at sim")), Some(plate)))
     }
 
     fn camera(
@@ -231,13 +300,19 @@ impl Prepared {
     /// # Errors
     ///
     /// [`OpenError::Build`] when the world cannot tell.
-    pub fn truth(&self, reduced: &Reduced, config: &Config) -> Result<Option<WorldTruth>, OpenError> {
+    pub fn truth(
+        &self,
+        reduced: &Reduced,
+        config: &Config,
+        folder: &Path,
+    ) -> Result<Option<WorldTruth>, OpenError> {
         let (Some(world), Some(rig)) = (&self.world, &config.rig) else { return Ok(None) };
         if rig.spray.is_none() || reduced.levels.iter().any(|level| level.spray_ids.is_empty()) {
             return Ok(None);
         }
+        let surface = read_surface(folder);
         let plate_k: Vec<f64> =
-            reduced.levels.iter().map(|level| self.surface_at(&level.spray_ids)).collect();
+            reduced.levels.iter().map(|level| mean_surface(&surface, &level.spray_ids)).collect();
         if plate_k.iter().any(|kelvin| !kelvin.is_finite()) {
             return Ok(None);
         }
@@ -282,17 +357,48 @@ impl Prepared {
         }))
     }
 
-    /// Mean true surface temperature at the exposures of this session with these frame numbers; NaN without any.
-    fn surface_at(&self, frames: &[u64]) -> f64 {
+    /// Adds the plate's true surface temperature at this session's exposures to `world/surface.csv`.
+    ///
+    /// # Errors
+    ///
+    /// [`OpenError::Config`] with the system's words.
+    pub fn keep_surface(&self, folder: &Path) -> Result<(), OpenError> {
         let log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
-        let seen: Vec<f64> = frames
+        if self.world.is_none() || log.is_empty() {
+            return Ok(());
+        }
+        let path = folder.join(SURFACE);
+        let text: String = log
             .iter()
-            .filter_map(|frame| {
-                log.get(usize::try_from(frame.checked_sub(self.begins.frames)?).ok()?).copied()
-            })
+            .enumerate()
+            .map(|(index, kelvin)| format!("{},{kelvin:?}\n", self.begins.frames + index as u64))
             .collect();
-        if seen.is_empty() { f64::NAN } else { seen.iter().sum::<f64>() / seen.len() as f64 }
+        let write = || -> std::io::Result<()> {
+            std::fs::create_dir_all(folder.join("world"))?;
+            let mut file = std::fs::File::options().create(true).append(true).open(&path)?;
+            file.write_all(text.as_bytes())
+        };
+        write().map_err(|error| OpenError::Config(format!("{}: {error}", path.display())))
     }
+}
+
+/// The plate's true surface temperature at every exposure of a simulated run: frame number, K.
+const SURFACE: &str = "world/surface.csv";
+
+fn read_surface(folder: &Path) -> HashMap<u64, f64> {
+    let text = std::fs::read_to_string(folder.join(SURFACE)).unwrap_or_default();
+    text.lines()
+        .filter_map(|line| {
+            let (frame, kelvin) = line.split_once(',')?;
+            Some((frame.parse().ok()?, kelvin.parse().ok()?))
+        })
+        .collect()
+}
+
+/// Mean true surface temperature at the frames of which it is known; NaN without any.
+fn mean_surface(surface: &HashMap<u64, f64>, frames: &[u64]) -> f64 {
+    let seen: Vec<f64> = frames.iter().filter_map(|frame| surface.get(frame).copied()).collect();
+    if seen.is_empty() { f64::NAN } else { seen.iter().sum::<f64>() / seen.len() as f64 }
 }
 
 /// The instrument's delivered line settings, with the campaign file's baud rate.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 /// Trouble with a file of the run folder.
 #[derive(Debug, thiserror::Error)]
-#[error("{path}: {doing}: {source}. Check that the folder exists, is writable and has space.")]
+#[error("{path}: {doing}: {source}")]
 pub struct FolderError {
     /// The file or folder.
     pub path: PathBuf,
@@ -35,7 +35,7 @@ impl RunFolder {
     /// [`FolderError`] when it holds a run already or cannot be made.
     pub fn create(root: &Path) -> Result<Self, FolderError> {
         let folder = Self::at(root);
-        if folder.journal().exists() {
+        if folder.journal().exists() || folder.campaign().exists() {
             return Err(FolderError {
                 path: root.to_owned(),
                 doing: "starting a run here",

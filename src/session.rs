@@ -2,9 +2,7 @@
 
 use crate::archive::Archive;
 use crate::calibrate::{self, CalibrateError, Calibration};
-use crate::campaign::{
-    CampaignError, Ended, Engine, Outcome, RecordError, Recorder, StopFlag, header, safe_state,
-};
+use crate::campaign::{CampaignError, Ended, Engine, Outcome, RecordError, Recorder, StopFlag, header};
 use crate::clock::Clock;
 use crate::config::{Config, ConfigError};
 use crate::console::Console;
@@ -41,11 +39,14 @@ pub enum SessionError {
     #[error("stopped; {}", safe_words(.0))]
     Stopped(Vec<DriverError>),
     /// The operator paused it.
-    #[error("paused after a complete cycle; go on with `ditd resume {}`", .0.display())]
+    #[error("paused; go on with `ditd resume {}`", .0.display())]
     Paused(PathBuf),
     /// The safe state could not be confirmed.
-    #[error("the safe state could not be confirmed: {}. Switch the rig off by hand.", list(.0))]
+    #[error("the safe state could not be confirmed: {} Switch the rig off by hand.", list(.0))]
     Unsafe(Vec<DriverError>),
+    /// Instruments that could not be reached or made safe; the others are safe.
+    #[error("the safe state could not be confirmed: {}. Switch what is named here off by hand.", words(.0))]
+    NotSafe(Vec<OpenError>),
     /// The run folder.
     #[error(transparent)]
     Folder(#[from] FolderError),
@@ -73,6 +74,10 @@ fn list(errors: &[DriverError]) -> String {
     errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
 }
 
+fn words(errors: &[OpenError]) -> String {
+    errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+}
+
 fn safe_words(errors: &[DriverError]) -> String {
     if errors.is_empty() { "the rig is in its safe state".to_owned() } else { unsafe_words(errors) }
 }
@@ -95,6 +100,7 @@ impl SessionError {
             Self::Stopped(_) => 130,
             Self::Paused(_) => 6,
             Self::Unsafe(_) => 4,
+            Self::NotSafe(errors) => errors.first().map_or(4, OpenError::code),
             Self::Journal(JournalError::Damaged { .. }) | Self::Reduce(_) => 5,
             Self::Calibrate(CalibrateError::Key { .. }) => 2,
             Self::Folder(_)
@@ -144,15 +150,20 @@ impl Setting<'_> {
 pub fn run(setting: &Setting<'_>, out: &Path) -> Result<String, SessionError> {
     let folder = RunFolder::create(out)?;
     folder.write(&folder.campaign(), setting.source.text.as_bytes())?;
-    let calibrated = obtain_calibration(setting, &folder)?;
+    begin(setting, &folder)
+}
+
+/// Calibration and campaign in a folder that holds only its campaign file.
+fn begin(setting: &Setting<'_>, folder: &RunFolder) -> Result<String, SessionError> {
+    let calibrated = obtain_calibration(setting, folder)?;
     let plan = Plan::of_map(setting.config);
     let c = &setting.config.camera;
     let reduced = Reduced::new(plan.clone(), c.rows, c.columns, c.saturation_count)?;
     let prepared = prepare(setting, View::Chamber)?;
-    let mut recorder = Recorder::create(folder.root(), reduced, c.rows, c.columns)?;
+    let mut recorder = recorder(setting, &folder, reduced)?;
     let start = header(&plan, setting.utc(), sha256(setting.source.text.as_bytes()));
     let engine = campaign(setting, &plan, &prepared, &mut recorder, Some(start), "campaign")?;
-    finish(setting, &folder, &prepared, recorder.reduced(), &calibrated, &engine)
+    finish(setting, folder, &prepared, recorder.reduced(), &calibrated, &engine)
 }
 
 /// Goes on with a run that was paused or killed.
@@ -164,6 +175,11 @@ pub fn resume(root: &Path, clock: Clock, stop: StopFlag) -> Result<String, Sessi
     let folder = RunFolder::at(root);
     let (source, config) = config_of(&folder)?;
     let setting = Setting { source: &source, config: &config, clock, stop };
+    if !folder.journal().exists() {
+        // It ended during the calibration. What was recorded is kept aside; a curve is taken in one go.
+        set_aside(&folder.calibration())?;
+        return begin(&setting, &folder);
+    }
     let calibrated = load_calibration(&folder.calibration(), &config)?;
     let plan = Plan::of_map(&config);
     let c = &config.camera;
@@ -175,6 +191,7 @@ pub fn resume(root: &Path, clock: Clock, stop: StopFlag) -> Result<String, Sessi
         elapsed_ns: entries.last().map_or(0, |entry| entry.t_ns),
         frames: recorder.reduced().frames_seen,
         injections: recorder.reduced().injections_seen,
+        resumed: true,
     };
     let prepared = prepare(&setting, View::Chamber)?.beginning_at(begins);
     let engine = campaign(&setting, &plan, &prepared, &mut recorder, None, "campaign")?;
@@ -195,7 +212,7 @@ pub fn calibrate(setting: &Setting<'_>, out: &Path) -> Result<Calibrated, Sessio
     let c = &setting.config.camera;
     let reduced = Reduced::new(plan.clone(), c.rows, c.columns, c.saturation_count)?;
     let prepared = prepare(setting, View::Bench)?;
-    let mut recorder = Recorder::create(folder.root(), reduced, c.rows, c.columns)?;
+    let mut recorder = recorder(setting, &folder, reduced)?;
     let start = header(&plan, setting.utc(), sha256(setting.source.text.as_bytes()));
     campaign(setting, &plan, &prepared, &mut recorder, Some(start), "calibration")?;
     let calibrated = calibration_of(recorder.reduced(), setting.config, &setting.utc())?;
@@ -211,11 +228,8 @@ pub fn calibrate(setting: &Setting<'_>, out: &Path) -> Result<Calibrated, Sessio
 pub fn make_safe(setting: &Setting<'_>) -> Result<(), SessionError> {
     let prepared = rigs::without_world(setting.config);
     let runtime = prepared.runtime().map_err(SessionError::Other)?;
-    let trouble = runtime.block_on(async {
-        let mut opened = prepared.open().await?;
-        Ok::<_, OpenError>(safe_state(&mut opened.instruments).await)
-    })?;
-    if trouble.is_empty() { Ok(()) } else { Err(SessionError::Unsafe(trouble)) }
+    let trouble = runtime.block_on(prepared.make_safe());
+    if trouble.is_empty() { Ok(()) } else { Err(SessionError::NotSafe(trouble)) }
 }
 
 /// Folds a recorded run again and writes its result to `out`; returns the reduced run.
@@ -280,7 +294,10 @@ fn refit(
 /// Acquires or copies the calibration into the run folder.
 fn obtain_calibration(setting: &Setting<'_>, folder: &RunFolder) -> Result<Calibrated, SessionError> {
     if setting.config.optics.calibration == "measure" {
-        return calibrate(setting, &folder.calibration());
+        return calibrate(setting, &folder.calibration()).map_err(|error| match error {
+            SessionError::Paused(_) => SessionError::Paused(folder.root().to_owned()),
+            other => other,
+        });
     }
     let given = calibration_folder(&setting.source.folder.join(&setting.config.optics.calibration));
     let calibrated = load_calibration(&given, setting.config)?;
@@ -288,6 +305,28 @@ fn obtain_calibration(setting: &Setting<'_>, folder: &RunFolder) -> Result<Calib
     store_calibration(&target, &folder.calibration().join("calibration.json"), &calibrated, setting.config)?;
     Ok(calibrated)
 }
+
+/// Renames an unfinished folder to the first free `NAME.unfinished-N`.
+fn set_aside(unfinished: &Path) -> Result<(), SessionError> {
+    if !unfinished.exists() {
+        return Ok(());
+    }
+    let name = unfinished.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let free = (1..=ASIDE_MAX)
+        .map(|n| unfinished.with_file_name(format!("{name}.unfinished-{n}")))
+        .find(|candidate| !candidate.exists());
+    let target = free.ok_or_else(|| {
+        SessionError::Other(format!(
+            "{}: {ASIDE_MAX} unfinished ones lie there already",
+            unfinished.display()
+        ))
+    })?;
+    std::fs::rename(unfinished, &target)
+        .map_err(|error| SessionError::Other(format!("{}: {error}", unfinished.display())))
+}
+
+/// Unfinished calibrations that are kept in one run folder.
+const ASIDE_MAX: u32 = 100;
 
 /// The folder that a path to a calibration folder or to its `calibration.json` means.
 fn calibration_folder(path: &Path) -> PathBuf {
@@ -378,6 +417,13 @@ fn prepare(setting: &Setting<'_>, view: View) -> Result<Prepared, SessionError> 
     Ok(prepared?)
 }
 
+/// A new record; on a simulated rig it does not wait for the disk.
+fn recorder(setting: &Setting<'_>, folder: &RunFolder, reduced: Reduced) -> Result<Recorder, SessionError> {
+    let c = &setting.config.camera;
+    let recorder = Recorder::create(folder.root(), reduced, c.rows, c.columns)?;
+    Ok(if setting.config.rig.is_some() { recorder.without_waiting() } else { recorder })
+}
+
 /// Runs a plan on the prepared rig, in virtual or real time; an early end becomes an error.
 fn campaign(
     setting: &Setting<'_>,
@@ -401,11 +447,14 @@ fn campaign(
             stop: setting.stop.clone(),
             started,
             elapsed_before_ns: prepared.beginning().elapsed_ns,
+            // Another process may have injected just before this one began.
+            last_injection: prepared.beginning().resumed.then_some(started),
         };
         let outcome = Box::pin(engine.run(start)).await;
         Ok::<_, OpenError>((outcome, started.elapsed().as_secs_f64()))
     })?;
     console.finish();
+    prepared.keep_surface(recorder.folder())?;
     let Outcome { ended, unsafe_because, .. } = outcome;
     match ended {
         Err(error) => Err(SessionError::Campaign { error, unsafe_because }),
@@ -434,7 +483,7 @@ fn finish(
     let estimator = fitting::estimator(&config.fit.estimator).unwrap_or(Estimator::Default);
     let console = Console::new("result");
     console.fraction("what the simulated world knows of itself", 0.3);
-    if let Some(truth) = prepared.truth(reduced, config)? {
+    if let Some(truth) = prepared.truth(reduced, config, folder.root())? {
         result::write_world(folder, &truth)?;
     }
     console.fraction("maps, pictures and report", 0.7);

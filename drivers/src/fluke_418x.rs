@@ -760,7 +760,8 @@ impl Calibrator for Fluke418x {
     }
 
     async fn make_safe(&mut self) -> Result<PlateReading, DriverError> {
-        self.force_formats().await?;
+        // A unit that does not confirm its formats is sent to its rest all the same; the trouble is told at the end.
+        let formats = self.force_formats().await;
         let doing = "sending the plate to its rest";
         self.set_confirmed(Header::SetPoint, SAFE_SET_POINT_C, CONFIRM_TOLERANCE, doing).await?;
         // The display may fail where the block's sensor does not, and only the latter decides.
@@ -779,7 +780,7 @@ impl Calibrator for Fluke418x {
         };
         // Whoever comes to the rig now needs the keypad. Where a password is asked for it was never locked.
         self.wire.tell(&Command::set(Header::KeypadLock, 0.0).encode(), "unlocking the keypad").await?;
-        Ok(reading)
+        formats.map(|_| reading)
     }
 }
 

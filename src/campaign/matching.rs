@@ -7,10 +7,16 @@
 
 use ditd_drivers::instrument::ShotProgram;
 
-/// Largest distance of a time stamp from the trigger grid, as a fraction of the clock period: cameras stamp to
-/// microseconds and the unit's oscillator is good to 25 ppm (9520 data sheet), so 5 % of a period of tens of
-/// milliseconds is generous, and still far from half a period, where a frame could change its place.
+/// Distance of a time stamp from the trigger grid that is always allowed, as a fraction of the clock period: cameras
+/// stamp to microseconds, so 5 % of tens of milliseconds is generous.
 const GRID_TOLERANCE: f64 = 0.05;
+
+/// Added per time since the last placed frame: how much the camera's clock and the trigger unit's may differ. The
+/// unit's oscillator is good to 25 ppm (9520 data sheet), a camera's to some tens.
+const CLOCK_TOLERANCE: f64 = 1e-4;
+
+/// Beyond this fraction of a period a frame could change its place: after so long without a frame nothing is placed.
+const AMBIGUOUS: f64 = 0.4;
 
 /// Where a frame belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,35 +31,45 @@ pub(super) struct Place {
 #[derive(Debug)]
 pub(super) struct Matcher {
     program: ShotProgram,
-    /// Camera time of the burst's first clock pulse, in ns; may lie before the camera's zero.
-    origin_ns: Option<i128>,
+    /// The last placed frame: its clock pulse, and its time by the camera in ns. The grid goes on from here, so that
+    /// two clocks that drift apart never add up.
+    anchor: Option<(i128, i128)>,
     confirmed: bool,
 }
 
 impl Matcher {
     /// For a burst as the trigger unit took it.
     pub(super) fn new(program: ShotProgram) -> Self {
-        Self { program, origin_ns: None, confirmed: false }
+        Self { program, anchor: None, confirmed: false }
     }
 
-    /// Places a frame by its time stamp. `due` is the cycle that is being collected: the origin is set as if an
-    /// unplaced frame were that cycle's first.
+    /// Places a frame by its time stamp. `due` is the cycle that is being collected: the first frame of all is taken
+    /// for that cycle's first.
     ///
     /// # Errors
     ///
     /// Words that say how the stamp misses the grid.
     pub(super) fn place(&mut self, device_ns: u64, due: u32) -> Result<Place, String> {
         let period = i128::from(self.program.period_ns);
-        let origin =
-            *self.origin_ns.get_or_insert(i128::from(device_ns) - i128::from(self.program.frame_ns(due, 0)));
-        let since = i128::from(device_ns) - origin;
-        let pulse = (since + period / 2).div_euclid(period);
-        let off = since - pulse * period;
-        if off.unsigned_abs() as f64 > GRID_TOLERANCE * period as f64 {
+        let first = i128::from(self.program.frame_ns(due, 0)) / period;
+        let stamp = i128::from(device_ns);
+        let (anchor_pulse, anchor_ns) = *self.anchor.get_or_insert((first, stamp));
+        let since = stamp - anchor_ns;
+        let pulses = (since + period / 2).div_euclid(period);
+        let off = since - pulses * period;
+        let allowed = GRID_TOLERANCE * period as f64 + CLOCK_TOLERANCE * since.unsigned_abs() as f64;
+        if allowed > AMBIGUOUS * period as f64 {
+            return Err(format!(
+                "time stamp {device_ns} ns comes {:.0} s after the last one: too long to place it on a grid of {period} ns",
+                since as f64 * 1e-9
+            ));
+        }
+        if off.unsigned_abs() as f64 > allowed {
             return Err(format!(
                 "time stamp {device_ns} ns lies {off} ns off the trigger grid of {period} ns"
             ));
         }
+        let pulse = anchor_pulse + pulses;
         let in_cycles = pulse - i128::from(self.program.wait_periods);
         let cycle = in_cycles.div_euclid(i128::from(self.program.cycle_periods));
         let position = in_cycles.rem_euclid(i128::from(self.program.cycle_periods));
@@ -61,6 +77,7 @@ impl Matcher {
             (Ok(cycle), Ok(position))
                 if cycle < self.program.cycles && position < self.program.frames_per_cycle() =>
             {
+                self.anchor = Some((pulse, stamp));
                 Ok(Place { cycle, position })
             }
             _ => Err(format!("time stamp {device_ns} ns lies in the pause, where no frame was triggered")),
@@ -73,7 +90,7 @@ impl Matcher {
         if complete {
             self.confirmed = true;
         } else if !self.confirmed {
-            self.origin_ns = None;
+            self.anchor = None;
         }
     }
 }
@@ -131,6 +148,21 @@ mod tests {
         matcher.collected(false);
         for position in 0..4 {
             assert_eq!(matcher.place(stamp(1, position), 1), Ok(Place { cycle: 1, position }));
+        }
+    }
+
+    #[test]
+    fn clocks_that_drift_apart_do_not_add_up() {
+        // 50 ppm over 49 cycles of 15 s is 37 ms: two places, if it added up.
+        let program = ShotProgram { cycles: 49, ..program() };
+        let mut matcher = Matcher::new(program.clone());
+        for cycle in 0..49 {
+            for position in 0..4 {
+                let exact = program.frame_ns(cycle, position);
+                let stamp = 7_000_000_123 + exact + exact / 20_000;
+                assert_eq!(matcher.place(stamp, cycle), Ok(Place { cycle, position }));
+            }
+            matcher.collected(true);
         }
     }
 

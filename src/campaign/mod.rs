@@ -28,6 +28,10 @@ use tokio::time::{Instant, sleep};
 /// the trigger unit's start and its confirmation (two commands of 10 ms, 9520 manual).
 const FRAME_MARGIN: Duration = Duration::from_millis(1500);
 
+/// Time that a frame needs from the camera to us beyond its exposure, when it comes at all: transport over a gigabit
+/// takes 5 ms (measured with a loopback camera: median 5 ms, 16 ms at most under load).
+const LISTEN_MARGIN: Duration = Duration::from_millis(50);
+
 /// The stop wish is looked at this often while waiting.
 const WISH_POLL: Duration = Duration::from_millis(250);
 
@@ -199,6 +203,8 @@ pub struct Engine<'a> {
     pub started: Instant,
     /// Added to the journal's time when a run is resumed, in ns.
     pub elapsed_before_ns: u64,
+    /// When fuel may last have been injected; a resumed run starts with its own beginning.
+    pub last_injection: Option<Instant>,
 }
 
 enum Interrupt {
@@ -249,6 +255,9 @@ impl Engine<'_> {
             Err(Interrupt::Wish(_)) => Ok(Ended::Paused),
             Err(Interrupt::Error(error)) => Err(error),
         };
+        // Injector and clock first, before anything that could wait for a disk or a terminal; then once more in order,
+        // with its record.
+        let _ = self.instruments.trigger.make_safe().await;
         self.progress.waiting("bringing the rig to its safe state", None);
         let _ = self.note(Record::Intent { act: "safe state".to_owned(), level: None });
         let unsafe_because = safe_state(self.instruments).await;
@@ -318,13 +327,17 @@ impl Engine<'_> {
         if map && self.recorder.reduced().missing(index) == 0 {
             return Ok(());
         }
-        let mut settled = self.soak(number, level.set_point_k).await?;
+        self.soak(number, level.set_point_k).await?;
+        let mut settled = true;
         let mut resoaks = 0;
         if level.shutter_reference {
             let shutter = self.instruments.camera.shutter(true).await?;
-            let burst = self.burst(number, &level.program, 1, shutter).await;
+            let mut reference = Ok(true);
+            while reference.is_ok() && self.recorder.reduced().levels[index].references == 0 {
+                reference = self.burst(number, &level.program, 1, shutter).await;
+            }
             self.instruments.camera.shutter(false).await?;
-            burst?;
+            reference?;
         }
         loop {
             let missing = if map {
@@ -342,14 +355,31 @@ impl Engine<'_> {
                 }
                 self.soak(number, level.set_point_k).await?;
             }
+            self.await_flushed(&level.program).await?;
             settled = self.burst(number, &level.program, missing, None).await?;
         }
         self.progress.level_done(self.recorder);
         Ok(())
     }
 
-    /// Sets the plate and waits until it is really settled; always true, so that callers can keep a flag.
-    async fn soak(&mut self, level: u32, target_k: f64) -> Step<bool> {
+    /// Waits until the chamber has had its pause since the last injection, so that a burst's first blanks see no more
+    /// residual vapour than the others, and injections stay apart.
+    async fn await_flushed(&mut self, program: &ShotProgram) -> Step<()> {
+        let Some(last) = self.last_injection.filter(|_| program.inject) else { return Ok(()) };
+        let ready = last + Duration::from_nanos(program.cycle_ns());
+        loop {
+            let left = ready.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(());
+            }
+            self.heed(Wish::Pause)?;
+            self.progress.waiting("pause, residual vapour is flushed out", Some(left.as_secs_f64()));
+            sleep(left.min(WISH_POLL)).await;
+        }
+    }
+
+    /// Sets the plate and waits until it is really settled.
+    async fn soak(&mut self, level: u32, target_k: f64) -> Step<()> {
         let act = format!("set the plate to {target_k:.3} K");
         self.note(Record::Intent { act: act.clone(), level: Some(level) })?;
         let taken = self.instruments.plate.set_point(Kelvin(target_k)).await?;
@@ -363,7 +393,7 @@ impl Engine<'_> {
             match judge.push(now_s, reading.apparent.0) {
                 Verdict::Settled => {
                     self.note(Record::Settled { level, reading, waited_s: now_s })?;
-                    return Ok(true);
+                    return Ok(());
                 }
                 Verdict::Waiting { reason, eta_s } => {
                     let text = format!("level {}: {reason}", level + 1);
@@ -399,6 +429,9 @@ impl Engine<'_> {
         self.note(Record::Intent { act: "start the trigger clock".to_owned(), level: Some(level) })?;
         self.instruments.camera.start().await?;
         let begun = Instant::now();
+        if program.inject {
+            self.last_injection = Some(begun);
+        }
         self.instruments.trigger.start().await?;
         self.note(Record::Done { act: "start the trigger clock".to_owned(), level: Some(level) })?;
         let outcome = self.collect_burst(level, &program, first_cycle, shutter.is_some(), begun).await;
@@ -428,6 +461,10 @@ impl Engine<'_> {
             let collected = self
                 .collect_cycle(level, program, cycle, number, shutter, begun, &mut matcher, &mut carry)
                 .await?;
+            if program.inject {
+                let spray = program.frame_ns(cycle, program.frames_per_cycle() - 1);
+                self.last_injection = Some((begun + Duration::from_nanos(spray)).max(Instant::now()));
+            }
             let reading = self.read_plate(level).await?;
             let target = self.plan.levels[level as usize].set_point_k;
             let off = (reading.apparent.0 - target).abs();
@@ -535,9 +572,36 @@ impl Engine<'_> {
             let t_ns = self.now_ns();
             self.recorder.frame(t_ns, level, number, place.position, shot, shutter, &frame)?;
         }
+        if trouble.is_none() {
+            trouble = self.one_too_many(program, cycle, begun, matcher, carry).await?;
+        }
         Ok(match trouble {
             None => Collected::Complete,
             Some(reason) => Collected::Rejected { reason, frames: received },
+        })
+    }
+
+    /// Listens for one more clock period after a complete cycle: a frame there means that one came too many, perhaps
+    /// before the first, and that every label of the cycle is in doubt.
+    async fn one_too_many(
+        &mut self,
+        program: &ShotProgram,
+        cycle: u32,
+        begun: Instant,
+        matcher: &mut Matcher,
+        carry: &mut Option<Frame>,
+    ) -> Step<Option<String>> {
+        let after = program.frame_ns(cycle, program.frames_per_cycle()) + program.camera_delay_ns;
+        let until = (begun + Duration::from_nanos(after)).max(Instant::now())
+            + Duration::from_nanos(program.period_ns / 2)
+            + LISTEN_MARGIN;
+        let Some(frame) = self.await_frame(until, 0, cycle, 1, program).await? else { return Ok(None) };
+        Ok(match matcher.place(frame.device_ns, cycle) {
+            Ok(place) if place.cycle > cycle => {
+                *carry = Some(frame);
+                None
+            }
+            _ => Some(format!("frame number {} is one too many", frame.id)),
         })
     }
 
@@ -636,7 +700,8 @@ impl Engine<'_> {
         let planned = self.plan.levels.iter().map(|level| level.program.cycles).sum();
         let accepted = reduced.levels.iter().map(|state| state.accepted).sum();
         let retaken = reduced.levels.iter().map(|state| state.rejected.len()).sum::<usize>();
-        let lost = if matches!(ended, Ok(Ended::Done | Ended::Paused)) { 0 } else { planned - accepted };
+        let ended_well = matches!(ended, Ok(Ended::Done | Ended::Paused));
+        let lost = if ended_well { 0 } else { u32::saturating_sub(planned, accepted) };
         CycleCount { planned, accepted, retaken: u32::try_from(retaken).unwrap_or(u32::MAX), lost }
     }
 

@@ -4,6 +4,7 @@ pub mod calibrate;
 pub mod check;
 pub mod fit;
 pub mod import;
+pub mod schema;
 
 use crate::campaign::StopFlag;
 use crate::clock::Clock;
@@ -71,7 +72,11 @@ impl From<SessionError> for CommandError {
 }
 
 /// Writes to standard output; a reader that has gone away is no failure.
-fn print(text: &str) -> CommandResult {
+///
+/// # Errors
+///
+/// Status 1 with the system's words.
+pub fn print(text: &str) -> CommandResult {
     match std::io::stdout().lock().write_all(text.as_bytes()) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
             Err(CommandError::failure(format!("standard output: {error}")))

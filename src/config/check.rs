@@ -1,6 +1,9 @@
 //! Limits and impossible combinations of a campaign file. Pure.
 
 use super::{Config, Pace};
+use ditd_sim::light::band::Response;
+use ditd_sim::light::fuel::Fuel;
+use ditd_sim::light::window::Material;
 use ditd_sim::rig::RigError;
 
 /// Something that cannot be done as written.
@@ -11,6 +14,9 @@ pub struct Problem {
     /// What is wrong and what would be right.
     pub message: String,
 }
+
+/// Longest side of a frame, in pixels: the largest arrays that are sold have 4096.
+const PIXELS_SIDE_MAX: usize = 8192;
 
 /// Everything that is wrong with a config whose keys are all known.
 pub(super) fn problems(config: &Config) -> Vec<Problem> {
@@ -138,11 +144,20 @@ fn instruments(config: &Config, found: &mut Vec<Problem>) {
         "plate.display_emissivity",
         || "the display's emissivity setting goes from 0.90 to 1.00".to_owned(),
     );
-    positive(found, config.plate.rate_k_per_min, "plate.rate_k_per_min", "kelvin per minute");
-    positive(found, config.plate.stability_k, "plate.stability_k", "kelvin");
+    // 418x manual, command table: SOUR:RATE 0.10 … 500, SOUR:STAB:LIM 0.01 … 5.
+    require(found, (0.1..=500.0).contains(&config.plate.rate_k_per_min), "plate.rate_k_per_min", || {
+        format!(
+            "the calibrator's scan rate goes from 0.1 to 500 K/min, found {}",
+            config.plate.rate_k_per_min
+        )
+    });
+    require(found, (0.01..=5.0).contains(&config.plate.stability_k), "plate.stability_k", || {
+        format!("the calibrator's stability limit goes from 0.01 to 5 K, found {}", config.plate.stability_k)
+    });
     let t = &config.trigger;
     positive(found, t.injection_s, "trigger.injection_s", "seconds");
     positive(found, t.injection_limit_s, "trigger.injection_limit_s", "seconds");
+    positive(found, t.injection_interval_limit_s, "trigger.injection_interval_limit_s", "seconds");
     require(found, t.injection_s <= t.injection_limit_s, "trigger.injection_s", || {
         format!("{} s is longer than trigger.injection_limit_s = {} s", t.injection_s, t.injection_limit_s)
     });
@@ -155,7 +170,10 @@ fn instruments(config: &Config, found: &mut Vec<Problem>) {
         || "exposure and read-out must end before the next clock pulse (campaign.frame_period_s)".to_owned(),
     );
     let c = &config.camera;
-    require(found, c.rows >= 1 && c.columns >= 1, "camera.rows", || "at least one pixel".to_owned());
+    let sides = 1..=PIXELS_SIDE_MAX;
+    require(found, sides.contains(&c.rows) && sides.contains(&c.columns), "camera.rows", || {
+        format!("1 to {PIXELS_SIDE_MAX} rows and columns, found {} × {}", c.rows, c.columns)
+    });
     require(found, (8..=16).contains(&c.bits), "camera.bits", || format!("8 to 16 bits, found {}", c.bits));
     require(
         found,
@@ -215,7 +233,9 @@ fn optics(config: &Config, found: &mut Vec<Problem>) {
         require(found, calibration.warm_up <= 1000, "calibration.warm_up", || {
             format!("at most 1000 discarded frames, found {}", calibration.warm_up)
         });
-        require(found, calibration.frames >= 2, "calibration.frames", || "at least two frames".to_owned());
+        require(found, (2..=10_000).contains(&calibration.frames), "calibration.frames", || {
+            format!("between 2 and 10000 frames, found {}", calibration.frames)
+        });
     }
     if let Some(target) = &config.target {
         require(found, (0.0..1.0).contains(&target.emissivity_min), "target.emissivity_min", || {
@@ -234,15 +254,27 @@ fn world(config: &Config, found: &mut Vec<Problem>) {
         };
         found.push(Problem { key, message });
     }
-    for (table, checked) in [
-        ("plate", rig.plate.check()),
-        ("calibrator", rig.calibrator.check()),
-        ("pulser", rig.pulser.check()),
-    ] {
+    for (table, checked) in
+        [("plate", rig.plate.check()), ("calibrator", rig.calibrator.check()), ("pulser", rig.pulser.check())]
+    {
         if let Err(message) = checked {
             let key = message.split([' ', ':']).next().unwrap_or_default();
             found.push(Problem { key: format!("rig.{table}.{key}"), message: message.clone() });
         }
+    }
+    let response = [rig.filter.detector.as_str(), rig.filter.name.as_str(), "lens_transmission_model"];
+    if let Err(error) = Response::shipped(&response) {
+        found.push(Problem { key: "rig.filter.name".to_owned(), message: error.to_string() });
+    }
+    if let Some(spray) = &rig.spray
+        && let Err(error) = Fuel::named(&spray.fuel)
+    {
+        found.push(Problem { key: "rig.spray.fuel".to_owned(), message: error.to_string() });
+    }
+    for window in rig.window.iter().flat_map(|both| [&both.near, &both.far]) {
+        require(found, Material::named(&window.material).is_some(), "rig.window.near", || {
+            format!("unknown material {:?}; there are CaF2, sapphire, fused-silica", window.material)
+        });
     }
     let c = &config.camera;
     require(found, (rig.view.rows, rig.view.columns) == (c.rows, c.columns), "rig.view.rows", || {
@@ -254,7 +286,10 @@ fn world(config: &Config, found: &mut Vec<Problem>) {
     require(found, rig.detector.bits == c.bits, "camera.bits", || {
         format!("the simulated detector has {} bits, [camera] says {}", rig.detector.bits, c.bits)
     });
-    require(found, config.calibration.is_none() || rig.detector.shutter_temperature_k.is_some(), "rig.detector", || {
-        "the calibration needs a camera with a shutter: shutter_temperature_k is missing".to_owned()
-    });
+    require(
+        found,
+        config.calibration.is_none() || rig.detector.shutter_temperature_k.is_some(),
+        "rig.detector",
+        || "the calibration needs a camera with a shutter: shutter_temperature_k is missing".to_owned(),
+    );
 }
