@@ -31,7 +31,7 @@ pub enum SessionError {
     #[error("{error}{}", unsafe_words(.unsafe_because))]
     Campaign {
         /// What went wrong.
-        error: CampaignError,
+        error: Box<CampaignError>,
         /// What could not be made safe.
         unsafe_because: Vec<DriverError>,
     },
@@ -160,7 +160,7 @@ fn begin(setting: &Setting<'_>, folder: &RunFolder) -> Result<String, SessionErr
     let c = &setting.config.camera;
     let reduced = Reduced::new(plan.clone(), c.rows, c.columns, c.saturation_count)?;
     let prepared = prepare(setting, View::Chamber)?;
-    let mut recorder = recorder(setting, &folder, reduced)?;
+    let mut recorder = recorder(setting, folder, reduced)?;
     let start = header(&plan, setting.utc(), sha256(setting.source.text.as_bytes()));
     let engine = campaign(setting, &plan, &prepared, &mut recorder, Some(start), "campaign")?;
     finish(setting, folder, &prepared, recorder.reduced(), &calibrated, &engine)
@@ -457,7 +457,7 @@ fn campaign(
     prepared.keep_surface(recorder.folder())?;
     let Outcome { ended, unsafe_because, .. } = outcome;
     match ended {
-        Err(error) => Err(SessionError::Campaign { error, unsafe_because }),
+        Err(error) => Err(SessionError::Campaign { error: Box::new(error), unsafe_because }),
         Ok(Ended::Stopped) => Err(SessionError::Stopped(unsafe_because)),
         Ok(_) if !unsafe_because.is_empty() => Err(SessionError::Unsafe(unsafe_because)),
         Ok(Ended::Paused) => Err(SessionError::Paused(recorder.folder().to_owned())),

@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn the_table_of_the_exact_curve_inverts_to_ten_microkelvin() {
-        let planck = |t: f64| 7.2e5 / ((14_387.768_775 / (3.4 * t)).exp() - 1.0);
+        let planck = |t: f64| 7.2e5 / (14_387.768_775 / (3.4 * t)).exp_m1();
         let curve_k: Vec<f64> = (300..700).map(f64::from).collect();
         let truth = WorldTruth {
             curve_counts: curve_k.iter().map(|t| planck(*t)).collect(),

@@ -7,7 +7,7 @@ mod matching;
 mod recorder;
 mod stop;
 
-pub use recorder::{RecordError, Recorder, crc_of};
+pub use recorder::{Label, RecordError, Recorder, crc_of};
 pub use stop::{StopFlag, Wish};
 
 use crate::config::Config;
@@ -570,7 +570,8 @@ impl Engine<'_> {
             due = place.position + 1;
             let shot = program.kind_at(place.position).expect("positions were checked by the matcher");
             let t_ns = self.now_ns();
-            self.recorder.frame(t_ns, level, number, place.position, shot, shutter, &frame)?;
+            let label = Label { level, cycle: number, position: place.position, shot, shutter };
+            self.recorder.frame(t_ns, label, &frame)?;
         }
         if trouble.is_none() {
             trouble = self.one_too_many(program, cycle, begun, matcher, carry).await?;

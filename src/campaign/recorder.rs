@@ -45,6 +45,21 @@ impl FrameSource for Recent {
     }
 }
 
+/// What a frame is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Label {
+    /// Level index.
+    pub level: u32,
+    /// Cycle within the level, counted over all bursts.
+    pub cycle: u32,
+    /// Position within the cycle.
+    pub position: u32,
+    /// What it is for.
+    pub shot: ShotKind,
+    /// Whether it was taken with the shutter closed.
+    pub shutter: bool,
+}
+
 /// The memory of a run, on disk and live.
 #[derive(Debug)]
 pub struct Recorder {
@@ -175,16 +190,8 @@ impl Recorder {
     /// # Errors
     ///
     /// [`RecordError`] when the disk refuses.
-    pub fn frame(
-        &mut self,
-        t_ns: u64,
-        level: u32,
-        cycle: u32,
-        position: u32,
-        shot: ShotKind,
-        shutter: bool,
-        frame: &Frame,
-    ) -> Result<(), RecordError> {
+    pub fn frame(&mut self, t_ns: u64, label: Label, frame: &Frame) -> Result<(), RecordError> {
+        let Label { level, cycle, position, shot, shutter } = label;
         if shot == ShotKind::WarmUp {
             return Ok(());
         }
