@@ -114,6 +114,7 @@ fn run(preset: &Preset) -> After {
             stop: StopFlag::default(),
             started: start,
             elapsed_before_ns: 0,
+            last_injection: None,
         };
         let first =
             header(&plan, config.campaign.epoch.clone(), ditd::run_folder::sha256(source.text.as_bytes()));
@@ -138,7 +139,7 @@ fn run(preset: &Preset) -> After {
     let interval_ns = u64::try_from(Duration::from_secs_f64(interval_s).as_nanos()).unwrap();
     let Outcome { ended, unsafe_because, .. } = outcome;
     let unconfirmed = unsafe_because.len();
-    let ended = ended.map_err(|error| SessionError::Campaign { error, unsafe_because });
+    let ended = ended.map_err(|error| SessionError::Campaign { error: Box::new(error), unsafe_because });
     After {
         plan,
         reduced,
