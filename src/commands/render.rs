@@ -2,6 +2,7 @@
 
 use super::{CommandError, CommandResult};
 use ditd_sim::scene::file::{self, MediumSource, Scene};
+use ditd_sim::scene::lights::{Lights, Share};
 use ditd_sim::tracer::camera::Camera;
 use ditd_sim::tracer::image::{RenderOptions, render_image};
 use ditd_sim::tracer::medium::{EMPTY, GridMedium};
@@ -54,12 +55,9 @@ pub struct Args {
 ///
 /// Status 2 for a scene or a table of rays that makes no sense, 1 where a file cannot be written.
 pub fn run(args: Args) -> CommandResult {
-    let mut scene = file::load(&args.scene).map_err(|e| CommandError::usage(e.to_string()))?;
-    if let Some(MediumSource::Cfd(source)) = &scene.medium {
-        let medium =
-            file::cfd_medium(source, scene.band.as_ref()).map_err(|e| CommandError::usage(e.to_string()))?;
-        scene.medium = Some(MediumSource::Grid(Box::new(medium), true));
-    }
+    let scene = file::load(&args.scene)
+        .and_then(Scene::with_spray)
+        .map_err(|e| CommandError::usage(e.to_string()))?;
     for note in &scene.notes {
         eprintln!("ditd: {note}");
     }
@@ -88,79 +86,100 @@ fn nothing() -> GridMedium {
     }
 }
 
-/// Traces rays one by one.
+/// Traces rays one by one: per ray one share per spectral group, and the paths of all.
 fn trace(
     scene: &Scene,
     rays: &[([f64; 3], [f64; 3])],
     target_error: f64,
     seed: u64,
-) -> Result<Vec<RayAnswer>, CommandError> {
+) -> Result<(Vec<Vec<Share>>, u64), CommandError> {
     let usage = |e: ditd_sim::tracer::error::TracerError| CommandError::usage(format!("render: {e}"));
     let plate = scene.plate.as_ref().map(|p| Plate::new(&p.shape)).transpose().map_err(usage)?;
     let options = RayOptions { target_error, seed, paths_max: RAY_PATHS_MAX };
     let empty = nothing();
-    let body = match &scene.medium {
-        Some(MediumSource::Shape(shape, _)) => Body::shape(shape),
-        Some(MediumSource::Grid(grid, _)) => Body::grid(grid, 0),
-        Some(MediumSource::Cfd(_)) | None => Body::grid(&empty, 0),
+    let bodies = match &scene.medium {
+        Some(MediumSource::Shape(shape, _)) => vec![Body::shape(shape)],
+        Some(MediumSource::Grid(grid, _)) => vec![Body::grid(grid, 0)],
+        Some(MediumSource::Spectral(grid, _)) => (0..grid.groups).map(|g| Body::grid(grid, g)).collect(),
+        Some(MediumSource::Cfd(_)) | None => vec![Body::grid(&empty, 0)],
     };
-    render_rays(&body.map_err(usage)?, rays, plate.as_ref(), &options).map_err(usage)
-}
-
-/// Radiances of plate, walls and medium in the scene's band, where their temperatures are given.
-struct Lights {
-    plate: f64,
-    walls: f64,
-    /// Radiance of a medium of one temperature; none where the second channel holds it.
-    medium: Option<f64>,
-}
-
-/// The lights of a scene, if band and all temperatures are known.
-fn lights(scene: &Scene) -> Option<Lights> {
-    let band = scene.band.as_ref()?;
-    let walls = scene.walls.map(|w| band.radiance(w.temperature_k));
-    let plate = match &scene.plate {
-        Some(plate) => {
-            let own = band.radiance(plate.temperature_k?);
-            // The plate mirrors the chamber, whose closed walls are black whatever their emissivity.
-            plate.emissivity * own + (1.0 - plate.emissivity) * walls.unwrap_or(0.0)
+    let mut shares = vec![Vec::new(); rays.len()];
+    let mut paths = 0;
+    for body in bodies {
+        let answers = render_rays(&body.map_err(usage)?, rays, plate.as_ref(), &options).map_err(usage)?;
+        for (shares, answer) in shares.iter_mut().zip(&answers) {
+            paths += answer.paths;
+            shares.push(share(answer));
         }
-        None => 0.0,
-    };
-    let medium = match &scene.medium {
-        Some(MediumSource::Shape(_, temperature)) => Some(band.radiance((*temperature)?)),
-        Some(MediumSource::Grid(_, true)) => None,
-        Some(MediumSource::Grid(_, false) | MediumSource::Cfd(_)) => return None,
-        None => Some(0.0),
-    };
-    Some(Lights { plate, walls: walls?, medium })
+    }
+    Ok((shares, paths))
 }
 
-impl Lights {
-    /// Radiance, that of the medium alone, and its standard error.
-    fn radiance(&self, answer: &RayAnswer) -> [f64; 3] {
-        let a_medium = answer.medium[0];
-        let medium = match self.medium {
-            Some(radiance) => a_medium * radiance,
-            None => answer.medium.get(1).copied().unwrap_or(f64::NAN),
-        };
-        let total = answer.plate * self.plate + answer.walls * self.walls + medium;
-        // By closure the walls carry minus the errors of the others: only contrasts against them count. The
-        // covariance follows from the error of the sum; a medium of several temperatures counts with its mean.
-        let mean = if a_medium > 0.0 { medium / a_medium } else { self.walls };
-        let (p, m) = (self.plate - self.walls, mean - self.walls);
-        let [sp, sw, sm] = [answer.se_plate, answer.se_walls, answer.se_medium[0]].map(|s| s * s);
-        let variance = p * p * sp + m * m * sm + p * m * (sw - sp - sm);
-        [total, medium, variance.max(0.0).sqrt()]
+fn share(answer: &RayAnswer) -> Share {
+    Share {
+        plate: answer.plate,
+        walls: answer.walls,
+        medium: answer.medium[0],
+        emission: answer.medium.get(1).copied().unwrap_or(0.0),
+        se: [answer.se_plate, answer.se_walls, answer.se_medium[0]],
     }
 }
 
-const COEFFICIENTS: [&str; 6] = ["a_plate", "a_walls", "a_medium", "se_plate", "se_walls", "se_medium"];
-const RADIANCES: [&str; 3] = ["radiance", "radiance_medium", "se_radiance"];
+/// Names and values of what is printed or written of each sight.
+struct Columns {
+    lights: Lights,
+    windows: bool,
+    /// Spectral groups to list.
+    groups: usize,
+}
 
-fn coefficients(answer: &RayAnswer) -> [f64; 6] {
-    let a = answer;
-    [a.plate, a.walls, a.medium[0], a.se_plate, a.se_walls, a.se_medium[0]]
+impl Columns {
+    fn new(scene: &Scene, list_groups: bool) -> Self {
+        let groups = match &scene.medium {
+            Some(MediumSource::Spectral(grid, _)) => grid.groups,
+            _ => 1,
+        };
+        Self {
+            lights: Lights::new(scene),
+            windows: scene.windows.any(),
+            groups: if list_groups { groups } else { 0 },
+        }
+    }
+
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> =
+            ["a_plate", "a_walls", "a_medium", "se_plate", "se_walls", "se_medium"].map(String::from).into();
+        let extra = ["a_window", "a_camera_side"];
+        if self.windows {
+            names.extend([extra[0], extra[1], "se_window"].map(String::from));
+        }
+        for g in 0..self.groups {
+            names.extend(["a_plate", "a_walls", "a_medium"].map(|n| format!("{n}_g{g:02}")));
+            if self.windows {
+                names.extend(extra.map(|n| format!("{n}_g{g:02}")));
+            }
+        }
+        names.extend(["radiance", "radiance_medium", "se_radiance"].map(String::from));
+        names
+    }
+
+    fn values(&self, shares: &[Share]) -> Vec<f64> {
+        let seen = self.lights.see(shares);
+        let [se_plate, se_walls, se_medium, se_window] = seen.se;
+        let mut values = vec![seen.plate, seen.walls, seen.medium, se_plate, se_walls, se_medium];
+        if self.windows {
+            values.extend([seen.window, seen.camera_side, se_window]);
+        }
+        for g in 0..self.groups {
+            let seen = self.lights.see_group(shares, g);
+            values.extend([seen.plate, seen.walls, seen.medium]);
+            if self.windows {
+                values.extend([seen.window, seen.camera_side]);
+            }
+        }
+        values.extend([seen.radiance, seen.radiance_medium, seen.se_radiance]);
+        values
+    }
 }
 
 fn single_rays(scene: &Scene, path: &Path, args: &Args) -> CommandResult {
@@ -172,24 +191,13 @@ fn single_rays(scene: &Scene, path: &Path, args: &Args) -> CommandResult {
     let text = text.map_err(|e| CommandError::usage(format!("render: reading {}: {e}", path.display())))?;
     let table = RayTable::parse(&text)
         .map_err(|e| CommandError::usage(format!("render: {}: {e}", path.display())))?;
-    let answers = trace(scene, &table.rays, args.target_error.unwrap_or(RAY_TARGET), args.seed)?;
-    let lights = lights(scene);
-    let mut names: Vec<&str> = COEFFICIENTS.to_vec();
-    if args.groups {
-        names.extend(["a_plate_g00", "a_walls_g00", "a_medium_g00"]);
-    }
-    names.extend(RADIANCES);
-    let rows = answers.iter().map(|answer| {
-        let mut row = coefficients(answer).to_vec();
-        if args.groups {
-            row.extend(coefficients(answer)[..3].to_vec());
-        }
-        row.extend(lights.as_ref().map_or([f64::NAN; 3], |l| l.radiance(answer)));
-        row
-    });
+    let (shares, _) = trace(scene, &table.rays, args.target_error.unwrap_or(RAY_TARGET), args.seed)?;
+    let columns = Columns::new(scene, args.groups);
+    let names = columns.names();
+    let rows = shares.iter().map(|shares| columns.values(shares));
     if args.json {
         let list: Vec<serde_json::Value> = rows
-            .map(|row| names.iter().zip(row).map(|(n, v)| ((*n).to_owned(), serde_json::json!(v))).collect())
+            .map(|row| names.iter().zip(row).map(|(n, v)| (n.clone(), serde_json::json!(v))).collect())
             .collect();
         return print(&serde_json::json!({ "rays": list }).to_string());
     }
@@ -254,7 +262,7 @@ impl RayTable {
 
 /// Coefficient images, row-major, as they go into the EXR file.
 struct Images {
-    channels: Vec<(&'static str, Vec<f32>)>,
+    channels: Vec<(String, Vec<f32>)>,
     stats: Vec<(String, f64)>,
 }
 
@@ -267,12 +275,13 @@ fn image(scene: &Scene, args: &Args) -> CommandResult {
         return Err(CommandError::usage("render: the camera has no pixels"));
     }
     let target = args.target_error.unwrap_or(IMAGE_TARGET);
-    let gridded = matches!(&scene.medium, Some(MediumSource::Grid(..)) | None);
-    let images = if gridded && !args.reference {
+    let gridded = !matches!(&scene.medium, Some(MediumSource::Shape(..)));
+    let (shares, stats) = if gridded && !args.reference {
         fast(scene, camera, target, args.seed)?
     } else {
         pixel_by_pixel(scene, camera, target, args.seed)?
     };
+    let images = Images { channels: channels(&Columns::new(scene, args.groups), &shares), stats };
     if let Some(out) = &args.out {
         write_exr(out, camera, &images)
             .map_err(|e| CommandError::failure(format!("render: writing {}: {e}", out.display())))?;
@@ -280,70 +289,72 @@ fn image(scene: &Scene, args: &Args) -> CommandResult {
     report(&images, args.json)
 }
 
-fn fast(scene: &Scene, camera: &Camera, target_error: f64, seed: u64) -> Result<Images, CommandError> {
+/// Shares of every pixel and group, and what was done.
+type Rendered = (Vec<Vec<Share>>, Vec<(String, f64)>);
+
+fn fast(scene: &Scene, camera: &Camera, target_error: f64, seed: u64) -> Result<Rendered, CommandError> {
     let empty = nothing();
     let medium = match &scene.medium {
-        Some(MediumSource::Grid(grid, _)) => grid.as_ref(),
+        Some(MediumSource::Grid(grid, _) | MediumSource::Spectral(grid, _)) => grid.as_ref(),
         _ => &empty,
     };
     let plate: Option<&PlateShape> = scene.plate.as_ref().map(|p| &p.shape);
     let options = RenderOptions { target_error, seed, ..RenderOptions::default() };
     let operator = render_image(medium, camera, plate, &options, &|_| {})
         .map_err(|e| CommandError::usage(format!("render: {e}")))?;
-    let lights = lights(scene);
-    let n = operator.plate_seen.len();
-    let mut answers: Vec<RayAnswer> = operator
+    let groups = operator.groups;
+    let mut shares: Vec<Vec<Share>> = operator
         .plate_seen
         .iter()
-        .map(|&seen| RayAnswer {
-            plate: f64::from(seen),
-            walls: 1.0 - f64::from(seen),
-            medium: vec![0.0; 2],
-            se_medium: vec![0.0; 2],
-            ..RayAnswer::default()
+        .map(|&seen| {
+            let plate = f64::from(seen);
+            vec![Share { plate, walls: 1.0 - plate, ..Share::default() }; groups]
         })
         .collect();
     for (i, &pixel) in operator.pixels.iter().enumerate() {
-        let answer = &mut answers[pixel as usize];
-        answer.plate = f64::from(operator.a_plate[i]);
-        answer.medium = operator.emission[2 * i..2 * i + 2].iter().map(|&v| f64::from(v)).collect();
-        answer.walls = 1.0 - answer.plate - answer.medium[0];
-        answer.se_plate = f64::from(operator.error_plate[i]);
-        answer.se_medium[0] = f64::from(operator.error_medium[i]);
-        // Plate and medium errors are not jointly known here: the bound for independent ones.
-        answer.se_walls = answer.se_plate.hypot(answer.se_medium[0]);
+        // Errors are known as rms over the groups. Those of plate and medium are not jointly known: the bound for
+        // independent ones.
+        let [se_plate, se_medium] =
+            [&operator.error_plate, &operator.error_medium].map(|errors| f64::from(errors[i]));
+        for (g, share) in shares[pixel as usize].iter_mut().enumerate() {
+            let emission = |c: usize| f64::from(operator.emission[(i * operator.channels + c) * groups + g]);
+            let plate = f64::from(operator.a_plate[i * groups + g]);
+            *share = Share {
+                plate,
+                walls: 1.0 - plate - emission(0),
+                medium: emission(0),
+                emission: emission(1),
+                se: [se_plate, se_plate.hypot(se_medium), se_medium],
+            };
+        }
     }
-    Ok(Images { channels: channels(&answers, lights.as_ref(), n), stats: operator.stats })
+    Ok((shares, operator.stats))
 }
 
 /// Every pixel as a ray of its own through its centre.
 #[expect(clippy::cast_precision_loss, reason = "images are smaller than 2^53")]
-fn pixel_by_pixel(scene: &Scene, camera: &Camera, target: f64, seed: u64) -> Result<Images, CommandError> {
+fn pixel_by_pixel(scene: &Scene, camera: &Camera, target: f64, seed: u64) -> Result<Rendered, CommandError> {
     let sights = camera.sights().map_err(|e| CommandError::usage(format!("render: {e}")))?;
     let rays: Vec<_> = (0..camera.rows * camera.columns)
         .map(|i| sights.ray((i / camera.columns) as f64 + 0.5, (i % camera.columns) as f64 + 0.5))
         .collect();
-    let answers = trace(scene, &rays, target, seed)?;
-    let paths: u64 = answers.iter().map(|a| a.paths).sum();
-    let lights = lights(scene);
+    let (shares, paths) = trace(scene, &rays, target, seed)?;
     let stats = vec![("pixels".to_owned(), rays.len() as f64), ("paths".to_owned(), paths as f64)];
-    Ok(Images { channels: channels(&answers, lights.as_ref(), rays.len()), stats })
+    Ok((shares, stats))
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "EXR images hold f32")]
-fn channels(answers: &[RayAnswer], lights: Option<&Lights>, pixels: usize) -> Vec<(&'static str, Vec<f32>)> {
-    let mut channels: Vec<(&'static str, Vec<f32>)> =
-        COEFFICIENTS.iter().map(|&name| (name, Vec::with_capacity(pixels))).collect();
-    for answer in answers {
-        for (channel, value) in channels.iter_mut().zip(coefficients(answer)) {
+fn channels(columns: &Columns, shares: &[Vec<Share>]) -> Vec<(String, Vec<f32>)> {
+    let mut channels: Vec<(String, Vec<f32>)> =
+        columns.names().into_iter().map(|name| (name, Vec::with_capacity(shares.len()))).collect();
+    for shares in shares {
+        for (channel, value) in channels.iter_mut().zip(columns.values(shares)) {
             channel.1.push(value as f32);
         }
     }
-    if let Some(lights) = lights {
-        let values: Vec<[f64; 3]> = answers.iter().map(|a| lights.radiance(a)).collect();
-        for (k, name) in RADIANCES.into_iter().enumerate() {
-            channels.push((name, values.iter().map(|v| v[k] as f32).collect()));
-        }
+    // Radiances of a scene that does not give all temperatures.
+    if !columns.lights.lit() {
+        channels.truncate(channels.len() - 3);
     }
     channels
 }
@@ -353,7 +364,7 @@ fn write_exr(path: &Path, camera: &Camera, images: &Images) -> exr::error::UnitR
     let list: SmallVec<[AnyChannel<FlatSamples>; 4]> = images
         .channels
         .iter()
-        .map(|(name, values)| AnyChannel::new(*name, FlatSamples::F32(values.clone())))
+        .map(|(name, values)| AnyChannel::new(name.as_str(), FlatSamples::F32(values.clone())))
         .collect();
     let encoding = Encoding { line_order: LineOrder::Increasing, ..Encoding::SMALL_LOSSLESS };
     let layer = Layer::new(

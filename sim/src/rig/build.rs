@@ -23,7 +23,7 @@ use crate::tracer::plate::PlateShape;
 use std::path::Path;
 
 /// The spray that is part of the program.
-pub const EMBEDDED: &str = "eighthole_4bar_523K_0.9ms";
+pub const EMBEDDED: &str = compact::SHIPPED;
 
 /// Why a world cannot be built.
 #[derive(Debug, thiserror::Error)]

@@ -53,6 +53,9 @@ struct HeadRemainder {
     temperature_mean_k: f64,
 }
 
+/// Name of the spray that ships with the program.
+pub const SHIPPED: &str = "eighthole_4bar_523K_0.9ms";
+
 /// The spray that ships with the program: eight holes, 4 bar, 523 K, n-heptane, at 0.9 ms.
 ///
 /// # Errors

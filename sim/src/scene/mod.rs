@@ -5,4 +5,5 @@ pub mod deposit;
 pub mod field;
 pub mod file;
 pub mod import;
+pub mod lights;
 pub mod optics;

@@ -1,0 +1,126 @@
+//! A CFD spray as a medium: the place where import, deposit and optics are joined.
+
+use super::{BandSource, CfdSource, MediumSource, Samples, Scene, SceneError};
+use crate::light::band::Band;
+use crate::light::fuel::Fuel;
+use crate::scene::deposit::{self, DepositOptions, Move, Placement};
+use crate::scene::import::{self, ImportOptions, Time};
+use crate::scene::{compact, optics};
+use crate::tracer::image::GROUPS_MAX;
+
+/// Largest error of band emissivities that automatic sampling admits.
+const EMISSIVITY_ERROR: f64 = 1e-3;
+
+/// Relative difference of times that are the same.
+const SAME_TIME: f64 = 1e-6;
+
+impl Scene {
+    /// Imports the scene's CFD spray, if it has one, and says in its notes how. Other scenes stay as they are.
+    ///
+    /// # Errors
+    ///
+    /// [`SceneError`] for a spray that cannot be read, an unknown fuel, or a scene without band.
+    pub fn with_spray(mut self) -> Result<Self, SceneError> {
+        if let Some(MediumSource::Cfd(source)) = &self.medium {
+            let (medium, notes) = spectral(source, self.band.as_ref())?;
+            self.medium = Some(medium);
+            self.notes.extend(notes);
+        }
+        Ok(self)
+    }
+}
+
+fn spectral(
+    source: &CfdSource,
+    band: Option<&BandSource>,
+) -> Result<(MediumSource, Vec<String>), SceneError> {
+    let text = std::fs::read_to_string(&source.scene).unwrap_or_default();
+    let wrong = |problem: String| SceneError::Meaning {
+        path: source.scene.clone(),
+        line: super::line_of(&text, 0, &problem),
+        problem,
+    };
+    let unread = |e| SceneError::Spray { path: source.scene.clone(), source: Box::new(e) };
+    let band = band.ok_or_else(|| {
+        wrong("[medium] kind \"cfd\" needs a [band]: its coefficients depend on the wavelength".to_owned())
+    })?;
+    let fuel = Fuel::named(&source.fuel).map_err(|e| wrong(format!("[medium] fuel: {e}")))?;
+    let mut notes = Vec::new();
+    let samples = samples(band, &fuel, &mut notes).map_err(wrong)?;
+    let spray = if source.embedded {
+        let spray = compact::shipped().map_err(unread)?;
+        if let Some(t) = source.time_s.filter(|t| (t - spray.time_s).abs() > SAME_TIME * spray.time_s) {
+            return Err(wrong(format!(
+                "[medium] time_s is {t}; {} has {} only",
+                compact::SHIPPED,
+                spray.time_s
+            )));
+        }
+        spray
+    } else {
+        let time = source.time_s.map_or(Time::Latest, Time::At);
+        import::read(&source.path, time, &ImportOptions::default()).map_err(unread)?
+    };
+    let placement = placement(source).map_err(unread)?;
+    let options = DepositOptions { cell_m: source.cell_m, placement, ..DepositOptions::default() };
+    let (field, report) = deposit::field(&spray, &options).map_err(unread)?;
+    notes.push(format!(
+        "spray at {:.3e} s: {} cells of {:.3e} m, {} with droplets, {} with vapour; {} parcels outside, {} junk",
+        spray.time_s,
+        report.cells,
+        report.cell_m[0],
+        report.droplet_cells,
+        report.vapour_cells,
+        report.outside_parcels,
+        report.junk_parcels
+    ));
+    let medium = optics::medium(&field, &fuel, &samples, &[optics::Source::UNIT, optics::Source::RADIANCE]);
+    Ok((MediumSource::Spectral(Box::new(medium), samples), notes))
+}
+
+/// The spectral groups of a fuel in a band.
+fn samples(band: &BandSource, fuel: &Fuel, notes: &mut Vec<String>) -> Result<Band, String> {
+    let samples = match band {
+        BandSource::Wavelength(um) => Band::monochromatic(*um),
+        BandSource::Response { response, samples: Samples::Number(n), .. } => {
+            Band::sample(response, *n, true).map_err(|e| format!("[band] samples: {e}"))?
+        }
+        BandSource::Response { response, samples: Samples::Automatic, .. } => {
+            let chosen = Band::automatic(response, fuel, EMISSIVITY_ERROR)
+                .map_err(|e| format!("[band] samples: {e}"))?;
+            notes.push(format!(
+                "band: {} groups, error of column emissivities {:.1e}, of black-body signals {:.1e}",
+                chosen.band.len(),
+                chosen.emissivity_error,
+                chosen.signal_error
+            ));
+            chosen.band
+        }
+    };
+    if samples.len() > GROUPS_MAX {
+        return Err(format!(
+            "[band] samples: {} spectral groups are needed, the tracer takes {GROUPS_MAX}; give a smaller number",
+            samples.len()
+        ));
+    }
+    Ok(samples)
+}
+
+/// Where the spray is put: as it is unless something about its place is said.
+fn placement(source: &CfdSource) -> Result<Option<Placement>, import::SceneError> {
+    let said = source.tip_m.or(source.axis).or(source.scene_tip_m).or(source.scene_axis);
+    if said.is_none() && source.turn_deg.abs() < f64::MIN_POSITIVE {
+        return Ok(None);
+    }
+    let down = [0.0, 0.0, -1.0];
+    // Without a direction of its own the spray is not turned.
+    let scene_axis = source.scene_axis.unwrap_or(down);
+    Placement::new(Move {
+        tip_m: source.tip_m.unwrap_or([0.0; 3]),
+        axis: source.axis.unwrap_or(scene_axis),
+        scene_tip_m: source.scene_tip_m.unwrap_or([0.0; 3]),
+        scene_axis,
+        turn_rad: source.turn_deg.to_radians(),
+    })
+    .map(Some)
+}

@@ -1,0 +1,286 @@
+//! The scene file: TOML text and the arrays beside it, read into a typed scene.
+//!
+//! Reads files and checks meaning; it traces nothing. Lengths in metres, temperatures in kelvin.
+
+mod band;
+mod camera;
+mod cfd;
+mod media;
+pub mod npy;
+mod tables;
+mod window;
+
+pub use band::{BandSource, Samples};
+pub use media::{CfdSource, MediumSource};
+pub use window::{WindowSource, Windows};
+
+use crate::tracer::camera::Camera;
+use crate::tracer::plate::{Plate, PlateShape};
+use std::path::{Path, PathBuf};
+use tables::{PlateKind, PlateTable, SceneTables, WallTable};
+
+/// The newest version of the format that this program reads.
+pub const SCHEMA: u32 = 1;
+
+/// Why a scene cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// A file cannot be read.
+    #[error("scene: reading {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The text is not a scene; the message shows line and place.
+    #[error("scene {path}: {source}")]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Line, place, and what was expected.
+        source: Box<toml::de::Error>,
+    },
+    /// An array or table beside the scene is wrong.
+    #[error("scene: {path}: {problem}")]
+    Array {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// The values do not make sense together.
+    #[error("scene {path}{}: {problem}", line.map_or(String::new(), |n| format!(", line {n}")))]
+    Meaning {
+        /// The scene file.
+        path: PathBuf,
+        /// Where in it, counted from 1, if that can be told.
+        line: Option<usize>,
+        /// What is wrong and what to do.
+        problem: String,
+    },
+    /// A CFD spray cannot be read or spread on a grid.
+    #[error("scene {path}: [medium] kind \"cfd\": {source}")]
+    Spray {
+        /// The scene file.
+        path: PathBuf,
+        /// File and place in it, and why.
+        source: Box<crate::scene::import::SceneError>,
+    },
+}
+
+/// A scene, read and checked.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    /// The camera; none in scenes for single rays.
+    pub camera: Option<Camera>,
+    /// The black-body plate, if any.
+    pub plate: Option<PlateSource>,
+    /// Everything else inside the chamber.
+    pub walls: Option<WallSource>,
+    /// The spectral band of radiances, if given.
+    pub band: Option<BandSource>,
+    /// The medium; none where the scene is empty.
+    pub medium: Option<MediumSource>,
+    /// The windows between camera, medium and plate, and the laboratory outside them.
+    pub windows: Windows,
+    /// What was changed while reading, for the user to see.
+    pub notes: Vec<String>,
+}
+
+/// The plate and its light.
+#[derive(Debug, Clone)]
+pub struct PlateSource {
+    /// Form and place.
+    pub shape: PlateShape,
+    /// Temperature in K, if given.
+    pub temperature_k: Option<f64>,
+    /// Emissivity in (0, 1]; the rest mirrors the walls.
+    pub emissivity: f64,
+}
+
+/// The walls and their light.
+#[derive(Debug, Clone, Copy)]
+pub struct WallSource {
+    /// Temperature in K.
+    pub temperature_k: f64,
+    /// Emissivity; inside an isothermal closed chamber it does not matter.
+    pub emissivity: f64,
+}
+
+/// Reads a scene file and the arrays it names. CFD sprays are named only: [`Scene::with_spray`] imports them.
+///
+/// # Errors
+///
+/// [`SceneError`] with the file, and line and place where the text is at fault.
+pub fn load(path: &Path) -> Result<Scene, SceneError> {
+    let text =
+        std::fs::read_to_string(path).map_err(|source| SceneError::Read { path: path.to_owned(), source })?;
+    let tables: SceneTables = toml::from_str(&text)
+        .map_err(|source| SceneError::Parse { path: path.to_owned(), source: Box::new(source) })?;
+    let reader = Reader { path, folder: path.parent().unwrap_or(Path::new("")), text: &text };
+    reader.scene(tables)
+}
+
+struct Reader<'a> {
+    path: &'a Path,
+    folder: &'a Path,
+    text: &'a str,
+}
+
+impl Reader<'_> {
+    /// A problem that starts with the table it is about, as `[plate] …`: the line is that of the key it names.
+    fn wrong(&self, problem: impl Into<String>) -> SceneError {
+        self.wrong_in(0, problem)
+    }
+
+    /// The same in the table that is number `nth` of its name, counted from 0.
+    fn wrong_in(&self, nth: usize, problem: impl Into<String>) -> SceneError {
+        let problem = problem.into();
+        SceneError::Meaning { path: self.path.to_owned(), line: line_of(self.text, nth, &problem), problem }
+    }
+
+    fn scene(&self, tables: SceneTables) -> Result<Scene, SceneError> {
+        if let Some(schema) = tables.schema.filter(|&s| s == 0 || s > SCHEMA) {
+            return Err(self.wrong(format!("schema {schema}; this program reads schema 1 to {SCHEMA}")));
+        }
+        let mut notes = Vec::new();
+        let camera = tables.camera.map(|c| self.camera(&c)).transpose()?;
+        let plate = tables.plate.map(|p| self.plate(&p)).transpose()?;
+        let walls = tables.walls.map(|w| self.walls(&w)).transpose()?;
+        let band = tables.band.map(|b| self.band(&b)).transpose()?;
+        let media = tables
+            .medium
+            .0
+            .into_iter()
+            .map(|m| self.medium(m, band.as_ref(), &mut notes))
+            .collect::<Result<Vec<_>, _>>()?;
+        let medium = self.superpose(media)?;
+        let mut scene = Scene { camera, plate, walls, band, medium, windows: Windows::default(), notes };
+        scene.windows = self.windows(&tables.window, tables.lab.as_ref(), &scene)?;
+        Ok(scene)
+    }
+
+    fn plate(&self, table: &PlateTable) -> Result<PlateSource, SceneError> {
+        let facing = table.facing;
+        let given = (table.centre_m, table.width_m, table.height_m, table.diameter_m, table.half_angle_deg);
+        let shape = match (&table.shape, given) {
+            (PlateKind::Rectangle, (Some(centre_m), Some(width_m), Some(height_m), None, None)) => {
+                PlateShape::Rectangle { centre_m, facing, width_m, height_m }
+            }
+            (PlateKind::Disc, (Some(centre_m), None, None, Some(diameter_m), None)) => {
+                PlateShape::Disc { centre_m, facing, diameter_m }
+            }
+            (PlateKind::Cone, (_, None, None, None, Some(half_angle_deg))) => {
+                PlateShape::Cone { facing, half_angle_deg }
+            }
+            (PlateKind::Rectangle, _) => {
+                return Err(self.wrong(
+                    "[plate] shape \"rectangle\" needs exactly centre_m, facing, width_m and height_m",
+                ));
+            }
+            (PlateKind::Disc, _) => {
+                return Err(
+                    self.wrong("[plate] shape \"disc\" needs exactly centre_m, facing and diameter_m")
+                );
+            }
+            (PlateKind::Cone, _) => {
+                return Err(self.wrong("[plate] shape \"cone\" needs exactly facing and half_angle_deg"));
+            }
+        };
+        Plate::new(&shape).map_err(|e| self.wrong(format!("[plate] {e}")))?;
+        self.temperature("[plate]", table.temperature_k)?;
+        if !(table.emissivity > 0.0 && table.emissivity <= 1.0) {
+            return Err(self.wrong("[plate] emissivity must be above 0 and at most 1"));
+        }
+        Ok(PlateSource { shape, temperature_k: table.temperature_k, emissivity: table.emissivity })
+    }
+
+    fn walls(&self, table: &WallTable) -> Result<WallSource, SceneError> {
+        self.temperature("[walls]", Some(table.temperature_k))?;
+        if !(table.emissivity > 0.0 && table.emissivity <= 1.0) {
+            return Err(self.wrong("[walls] emissivity must be above 0 and at most 1"));
+        }
+        Ok(WallSource { temperature_k: table.temperature_k, emissivity: table.emissivity })
+    }
+
+    fn temperature(&self, what: &str, value: Option<f64>) -> Result<(), SceneError> {
+        match value {
+            Some(t) if !(t >= 0.0 && t.is_finite()) => {
+                Err(self.wrong(format!("{what} temperature_k is {t}; it must be finite and not negative")))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Line, counted from 1, of the key that a problem of table `nth` names, else of that table's head.
+fn line_of(text: &str, nth: usize, problem: &str) -> Option<usize> {
+    let table = problem.strip_prefix('[').and_then(|p| p.split_once(']')).map(|p| p.0);
+    let words: Vec<&str> = problem.split(|c: char| !(c.is_alphanumeric() || c == '_')).collect();
+    let mut found = None;
+    let mut heads = 0;
+    let mut inside = table.is_none();
+    for (number, line) in (1..).zip(text.lines()) {
+        let line = line.trim();
+        if let Some(head) = line.strip_prefix('[') {
+            let name = head.trim_start_matches('[').split(']').next().unwrap_or_default().trim();
+            inside = Some(name) == table && heads == nth;
+            heads += usize::from(Some(name) == table);
+            if inside {
+                found = Some(number);
+            }
+        } else if inside
+            && line
+                .split_once('=')
+                .is_some_and(|(key, _)| !key.starts_with('#') && words.contains(&key.trim()))
+        {
+            return Some(number);
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scene(text: &str) -> Result<Scene, SceneError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.toml");
+        std::fs::write(&path, text).unwrap();
+        load(&path)
+    }
+
+    const SLAB: &str = "[medium]\nkind = \"slab\"\noptical_depth = inf\nthickness_m = 1\nalbedo = 0.5\n";
+
+    #[test]
+    fn unknown_keys_are_refused_with_their_line() {
+        let error =
+            scene(&format!("[walls]\ntemperature_k = 300\ncolour = 1\n{SLAB}")).unwrap_err().to_string();
+        assert!(error.contains("line 3") && error.contains("colour"), "{error}");
+        let error = scene(&format!("{SLAB}colour = 1\n")).unwrap_err().to_string();
+        assert!(error.contains("colour"), "{error}");
+    }
+
+    #[test]
+    fn one_and_several_media_are_read_and_integers_are_numbers() {
+        assert!(matches!(scene(SLAB).unwrap().medium, Some(MediumSource::Shape(..))));
+        let one = SLAB.replace("[medium]", "[[medium]]");
+        assert!(scene(&one).unwrap().medium.is_some());
+        let error = scene(&format!("{one}{one}")).unwrap_err().to_string();
+        assert!(error.contains("grids"), "{error}");
+        assert!(scene("schema = 1\n").unwrap().medium.is_none());
+        assert!(scene("schema = 2\n").unwrap_err().to_string().contains("schema 2"));
+    }
+
+    #[test]
+    fn band_radiance_is_plancks() {
+        // planck_spectral.csv: exitance at 300 K and 3.4 µm, and at 500 K.
+        let band = BandSource::Wavelength(3.4);
+        for (t, exitance) in [(300.0, 1.054_573_394_580_724_5e19), (500.0, 2.975_579_254_200_778e21)] {
+            assert!((band.radiance(t) * std::f64::consts::PI / exitance - 1.0).abs() < 1e-14 * 20.0);
+        }
+        assert!(band.radiance(0.0).abs() < f64::MIN_POSITIVE);
+    }
+}

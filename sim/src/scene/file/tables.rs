@@ -1,0 +1,239 @@
+//! The tables of a scene file as TOML has them, unchecked.
+
+use super::media::CfdSource;
+use serde::Deserialize;
+use std::path::PathBuf;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SceneTables {
+    #[serde(default)]
+    pub(super) schema: Option<u32>,
+    pub(super) camera: Option<CameraTable>,
+    pub(super) plate: Option<PlateTable>,
+    pub(super) walls: Option<WallTable>,
+    pub(super) lab: Option<LabTable>,
+    #[serde(default)]
+    pub(super) window: Vec<WindowTable>,
+    pub(super) band: Option<BandTable>,
+    #[serde(default)]
+    pub(super) medium: Media,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CameraTable {
+    pub(super) kind: CameraKind,
+    pub(super) position_m: [f64; 3],
+    pub(super) look_at_m: [f64; 3],
+    pub(super) up: [f64; 3],
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+    pub(super) horizontal_fov_deg: Option<f64>,
+    pub(super) width_m: Option<f64>,
+    #[serde(default)]
+    pub(super) pixel_filter: FilterKind,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum CameraKind {
+    Pinhole,
+    Telecentric,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum FilterKind {
+    #[default]
+    Box,
+    Centre,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PlateTable {
+    pub(super) shape: PlateKind,
+    pub(super) centre_m: Option<[f64; 3]>,
+    pub(super) facing: [f64; 3],
+    pub(super) width_m: Option<f64>,
+    pub(super) height_m: Option<f64>,
+    pub(super) diameter_m: Option<f64>,
+    pub(super) half_angle_deg: Option<f64>,
+    pub(super) temperature_k: Option<f64>,
+    #[serde(default = "one")]
+    pub(super) emissivity: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum PlateKind {
+    Rectangle,
+    Disc,
+    Cone,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WallTable {
+    pub(super) temperature_k: f64,
+    #[serde(default = "one")]
+    pub(super) emissivity: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LabTable {
+    pub(super) temperature_k: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WindowTable {
+    pub(super) position_m: [f64; 3],
+    pub(super) normal: [f64; 3],
+    pub(super) material: String,
+    pub(super) thickness_m: f64,
+    pub(super) temperature_k: f64,
+    pub(super) diameter_m: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct BandTable {
+    pub(super) wavelength_um: Option<f64>,
+    pub(super) response: Option<PathBuf>,
+    pub(super) samples: Option<SamplesChoice>,
+}
+
+/// A number, or the word "auto".
+#[derive(Deserialize)]
+#[serde(untagged)]
+pub(super) enum SamplesChoice {
+    Number(usize),
+    Word(String),
+}
+
+/// `[medium]` or `[[medium]]`.
+#[derive(Default)]
+pub(super) struct Media(pub(super) Vec<MediumTable>);
+
+impl<'de> Deserialize<'de> for Media {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visitor;
+        impl<'de> serde::de::Visitor<'de> for Visitor {
+            type Value = Media;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a table [medium] or tables [[medium]]")
+            }
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<Media, A::Error> {
+                let table = MediumTable::deserialize(serde::de::value::MapAccessDeserializer::new(map))?;
+                Ok(Media(vec![table]))
+            }
+            fn visit_seq<A: serde::de::SeqAccess<'de>>(self, mut seq: A) -> Result<Media, A::Error> {
+                let mut list = Vec::new();
+                while let Some(table) = seq.next_element()? {
+                    list.push(table);
+                }
+                Ok(Media(list))
+            }
+        }
+        deserializer.deserialize_any(Visitor)
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub(super) enum MediumTable {
+    Grid(GridTable),
+    Slab(SlabTable),
+    Sphere(RoundTable),
+    Cylinder(RoundTable),
+    Gaussian(GaussianTable),
+    Box(BoxTable),
+    Cfd(CfdSource),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct GridTable {
+    pub(super) extinction_npy: PathBuf,
+    pub(super) lower_m: [f64; 3],
+    pub(super) upper_m: [f64; 3],
+    pub(super) albedo: NumberOrFile,
+    pub(super) temperature_k: Option<NumberOrFile>,
+    #[serde(default)]
+    pub(super) phase: PhaseChoice,
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+pub(super) enum NumberOrFile {
+    Number(f64),
+    File(PathBuf),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SlabTable {
+    pub(super) optical_depth: f64,
+    pub(super) thickness_m: f64,
+    pub(super) albedo: f64,
+    pub(super) temperature_k: Option<f64>,
+    #[serde(default)]
+    pub(super) phase: PhaseChoice,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RoundTable {
+    pub(super) centre_m: [f64; 3],
+    pub(super) radius_m: f64,
+    pub(super) extinction: f64,
+    pub(super) axis: Option<[f64; 3]>,
+    pub(super) albedo: f64,
+    pub(super) temperature_k: Option<f64>,
+    #[serde(default)]
+    pub(super) phase: PhaseChoice,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct GaussianTable {
+    pub(super) centre_m: [f64; 3],
+    pub(super) width_m: f64,
+    pub(super) extinction: f64,
+    pub(super) albedo: f64,
+    pub(super) temperature_k: Option<f64>,
+    #[serde(default)]
+    pub(super) phase: PhaseChoice,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct BoxTable {
+    pub(super) lower_m: [f64; 3],
+    pub(super) upper_m: [f64; 3],
+    pub(super) extinction: f64,
+    pub(super) albedo: f64,
+    pub(super) temperature_k: Option<f64>,
+    #[serde(default)]
+    pub(super) phase: PhaseChoice,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub(super) enum PhaseChoice {
+    #[default]
+    Isotropic,
+    HenyeyGreenstein {
+        asymmetry: f64,
+    },
+    Table {
+        file: PathBuf,
+    },
+}
+
+fn one() -> f64 {
+    1.0
+}

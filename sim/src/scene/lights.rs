@@ -1,0 +1,282 @@
+//! From coefficients per spectral group inside the chamber to what the camera sees: through windows, over a band, lit.
+//!
+//! Everything is linear, so sums over groups are exact. Each coefficient of a band is weighted with response × B(λ, T)
+//! of its own source: then coefficient × band radiance of the source is its light. Within a group all coefficients sum
+//! to 1; over a band they do so when the medium is gray or all temperatures are equal. Traces nothing.
+//!
+//! Windows (one on either side, all sights of a side cross it, interreflections between the two neglected):
+//!
+//! - near: a_* × T_n, a_window += A_n, a_camera_side += R_n (the laboratory, mirrored);
+//! - far: a_plate × T_f, a_walls += a_plate · R_f (the chamber, mirrored), a_window += a_plate · A_f.
+
+use super::file::{MediumSource, Scene, WindowSource};
+use crate::light::band::Band;
+use crate::light::planck::{inverse_photon_radiance, photon_radiance};
+use crate::light::window::PlateOptics;
+use crate::tracer::medium::GridMedium;
+
+/// What one sight collects inside the chamber in one spectral group.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Share {
+    /// Share of the plate.
+    pub plate: f64,
+    /// Share of the walls.
+    pub walls: f64,
+    /// Share of the medium.
+    pub medium: f64,
+    /// Radiance of the medium by its own temperatures, in the unit of the medium's second channel; 0 without one.
+    pub emission: f64,
+    /// Standard errors of plate, walls and medium.
+    pub se: [f64; 3],
+}
+
+/// What the camera sees along one sight. Radiances are NaN where band or temperatures are not given.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Seen {
+    /// Coefficient of the plate.
+    pub plate: f64,
+    /// Coefficient of the walls.
+    pub walls: f64,
+    /// Coefficient of the medium.
+    pub medium: f64,
+    /// Coefficient of the windows' own light.
+    pub window: f64,
+    /// Coefficient of the laboratory on the camera's side.
+    pub camera_side: f64,
+    /// Standard errors of plate, walls, medium and window.
+    pub se: [f64; 4],
+    /// Radiance: photons s⁻¹ m⁻² sr⁻¹ µm⁻¹ at one wavelength, its integral over a response.
+    pub radiance: f64,
+    /// The part of it that the medium emits.
+    pub radiance_medium: f64,
+    /// Standard error of the radiance.
+    pub se_radiance: f64,
+}
+
+/// How the medium shines.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Glow {
+    /// At one temperature.
+    Temperature(f64),
+    /// By its second channel, already integrated over the band.
+    BandChannel,
+    /// By its second channel, per µm in each group.
+    GroupChannel,
+}
+
+/// One wavelength of the band.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    /// Response × Δλ.
+    weight: f64,
+    near: PlateOptics,
+    far: PlateOptics,
+    /// Normalised weights of plate, walls, medium, near window, far window and laboratory.
+    share: [f64; 6],
+    /// Radiances per µm of plate (with what it mirrors), walls, medium, near window, far window, laboratory.
+    radiance: [f64; 6],
+}
+
+/// The light of a scene's band, temperatures and windows.
+#[derive(Debug, Clone)]
+pub struct Lights {
+    samples: Vec<Sample>,
+    glow: Glow,
+    lit: bool,
+}
+
+/// A window that is not there.
+const OPENING: PlateOptics = PlateOptics { transmittance: 1.0, reflectance: 0.0, absorptance: 0.0 };
+
+impl Lights {
+    /// The lights of a scene whose spray is imported.
+    pub fn new(scene: &Scene) -> Self {
+        let band = match (&scene.medium, &scene.band) {
+            (Some(MediumSource::Spectral(_, band)), _) => band.clone(),
+            (_, Some(source)) => source.nodes(),
+            (_, None) => Band::monochromatic(1.0),
+        };
+        let windows = &scene.windows;
+        let walls_k = scene.walls.map(|w| w.temperature_k);
+        let plate_k = scene.plate.as_ref().and_then(|p| p.temperature_k);
+        // Behind a far window the plate stands in the laboratory, else in the chamber, and mirrors it.
+        let mirrored_k = if windows.far.is_some() { windows.lab_temperature_k } else { walls_k };
+        let emissivity = scene.plate.as_ref().map_or(1.0, |p| p.emissivity);
+        let (glow, medium_k) = glow(scene);
+        let temperatures = [
+            plate_k,
+            walls_k,
+            medium_k,
+            windows.near.map(|w| w.temperature_k),
+            windows.far.map(|w| w.temperature_k),
+            windows.lab_temperature_k,
+        ];
+        let spectral = scene.band.is_some();
+        let at = |um: f64, t: Option<f64>| t.map_or(0.0, |t| photon_radiance(um, t));
+        let optics = |window: Option<WindowSource>, um: f64| {
+            window.map_or(OPENING, |w| w.plate.optics(um, w.temperature_k))
+        };
+        let mut samples: Vec<Sample> = band
+            .wavelengths_um
+            .iter()
+            .zip(&band.weights)
+            .map(|(&um, &weight)| {
+                let mut radiance = temperatures.map(|t| at(um, t));
+                radiance[0] = emissivity * radiance[0] + (1.0 - emissivity) * at(um, mirrored_k);
+                // Without a temperature of its own a coefficient is weighted with the response alone.
+                let share = temperatures.map(|t| match t {
+                    Some(t) if spectral && t > 0.0 => weight * photon_radiance(um, t),
+                    _ => weight,
+                });
+                let [near, far] = [windows.near, windows.far].map(|w| optics(w, um));
+                Sample { weight, near, far, share, radiance }
+            })
+            .collect();
+        for k in 0..6 {
+            let sum: f64 = samples.iter().map(|s| s.share[k]).sum();
+            let response: f64 = samples.iter().map(|s| s.weight).sum();
+            for s in &mut samples {
+                // So cold that B underflows everywhere: the response alone.
+                s.share[k] = if sum > 0.0 { s.share[k] / sum } else { s.weight / response };
+            }
+        }
+        let lit = spectral
+            && walls_k.is_some()
+            && (scene.plate.is_none() || plate_k.is_some())
+            && match &scene.medium {
+                Some(MediumSource::Shape(_, t)) => t.is_some(),
+                Some(MediumSource::Grid(_, hot)) => *hot,
+                Some(MediumSource::Cfd(_)) => false,
+                Some(MediumSource::Spectral(..)) | None => true,
+            };
+        Self { samples, glow, lit }
+    }
+
+    /// Whether radiances are known.
+    pub fn lit(&self) -> bool {
+        self.lit
+    }
+
+    /// What is seen of a sight with one share per spectral group, or a single one of a gray medium.
+    ///
+    /// Errors of different groups are taken as fully correlated, which bounds the error from above.
+    pub fn see(&self, shares: &[Share]) -> Seen {
+        assert!(
+            shares.len() == 1 || shares.len() == self.samples.len(),
+            "one share, or one per sample of the band"
+        );
+        let mut seen = self.sum(shares, &self.samples);
+        if !self.lit {
+            seen.radiance = f64::NAN;
+            seen.radiance_medium = f64::NAN;
+            seen.se_radiance = f64::NAN;
+        }
+        seen
+    }
+
+    /// Coefficients of one spectral group, its own sum being 1; of a gray medium those of the band.
+    pub fn see_group(&self, shares: &[Share], group: usize) -> Seen {
+        if shares.len() == 1 {
+            return self.see(shares);
+        }
+        let sample = Sample { share: [1.0; 6], ..self.samples[group] };
+        self.sum(&shares[group..=group], &[sample])
+    }
+
+    fn sum(&self, shares: &[Share], samples: &[Sample]) -> Seen {
+        let mut seen = Seen::default();
+        // Change of the radiance with plate and medium of each share, the walls giving way.
+        let mut contrasts = vec![[0.0; 2]; shares.len()];
+        let mut through_mean = 0.0;
+        for (g, sample) in samples.iter().enumerate() {
+            let place = g.min(shares.len() - 1);
+            let share = &shares[place];
+            let Sample { weight, near, far, share: [wp, ww, wm, wn, wf, wl], radiance } = *sample;
+            let [lp, lw, lm, ln, lf, ll] = radiance;
+            let through = near.transmittance;
+            through_mean += wm * through;
+            let plate = through * far.transmittance;
+            let behind = through * far.absorptance;
+            seen.plate += wp * plate * share.plate;
+            seen.walls += ww * through * (share.walls + far.reflectance * share.plate);
+            seen.medium += wm * through * share.medium;
+            seen.window += wf * behind * share.plate + wn * near.absorptance;
+            seen.camera_side += wl * near.reflectance;
+            let [sp, sw, sm] = share.se;
+            let covariance = 0.5 * (sm * sm - sp * sp - sw * sw);
+            let mirrored = sw * sw + (far.reflectance * sp).powi(2) + 2.0 * far.reflectance * covariance;
+            seen.se[0] += wp * plate * sp;
+            seen.se[1] += ww * through * mirrored.max(0.0).sqrt();
+            seen.se[2] += wm * through * sm;
+            seen.se[3] += wf * behind * sp;
+            let medium = match self.glow {
+                Glow::Temperature(_) => weight * through * share.medium * lm,
+                Glow::GroupChannel => weight * through * share.emission,
+                Glow::BandChannel => 0.0,
+            };
+            seen.radiance_medium += medium;
+            seen.radiance += weight
+                * (plate * share.plate * lp
+                    + through * (share.walls + far.reflectance * share.plate) * lw
+                    + behind * share.plate * lf
+                    + near.absorptance * ln
+                    + near.reflectance * ll);
+            let own = match self.glow {
+                Glow::GroupChannel if share.medium > 0.0 => share.emission / share.medium,
+                _ => lm,
+            };
+            contrasts[place][0] +=
+                weight * (plate * lp + through * (far.reflectance - 1.0) * lw + behind * lf);
+            contrasts[place][1] += weight * through * (own - lw);
+        }
+        if self.glow == Glow::BandChannel {
+            seen.radiance_medium = through_mean * shares[0].emission;
+        }
+        seen.radiance += seen.radiance_medium;
+        seen.se_radiance = shares
+            .iter()
+            .zip(&contrasts)
+            .map(|(share, [p, m])| {
+                // By closure the walls carry minus the errors of the others; the covariance follows from their sum's.
+                let [sp, sw, sm] = share.se.map(|s| s * s);
+                (p * p * sp + m * m * sm + p * m * (sw - sp - sm)).max(0.0).sqrt()
+            })
+            .sum();
+        seen
+    }
+}
+
+/// How the medium shines, and the temperature with which its coefficient is weighted over the band.
+fn glow(scene: &Scene) -> (Glow, Option<f64>) {
+    match &scene.medium {
+        Some(MediumSource::Shape(_, t)) => (Glow::Temperature(t.unwrap_or(0.0)), *t),
+        Some(MediumSource::Grid(grid, hot)) => {
+            let mean = scene
+                .band
+                .as_ref()
+                .filter(|_| *hot)
+                .and_then(|b| mean_radiance(grid, 0, |r| b.nodes().inverse(r)));
+            (Glow::BandChannel, mean)
+        }
+        Some(MediumSource::Spectral(grid, band)) => {
+            // The group that emits most: its mean temperature stands for the medium.
+            let sum = |g: usize| -> f64 {
+                (0..grid.occupied()).map(|c| grid.emission[(2 * c + 1) * grid.groups + g]).sum()
+            };
+            let brightest = (0..grid.groups).max_by(|&a, &b| sum(a).total_cmp(&sum(b))).unwrap_or(0);
+            let um = band.wavelengths_um[brightest];
+            (Glow::GroupChannel, mean_radiance(grid, brightest, |r| inverse_photon_radiance(um, r)))
+        }
+        Some(MediumSource::Cfd(_)) | None => (Glow::Temperature(0.0), None),
+    }
+}
+
+/// The temperature of a medium's mean radiance, weighted with what it absorbs.
+fn mean_radiance(grid: &GridMedium, group: usize, inverse: impl Fn(f64) -> Option<f64>) -> Option<f64> {
+    let sum = |channel: usize| -> f64 {
+        (0..grid.occupied())
+            .map(|cell| grid.emission[(cell * grid.channels + channel) * grid.groups + group])
+            .sum()
+    };
+    inverse(sum(1) / sum(0))
+}
