@@ -4,6 +4,7 @@
 //! no host. So a replay's folder is equal byte for byte.
 
 use crate::config::Config;
+use crate::estimate::accumulate::{self, Sums};
 use crate::estimate::map::{self, DitMap, Estimator, flag};
 use crate::files::npy::{Array, Values};
 use crate::files::npz::{self, Packing};
@@ -42,6 +43,18 @@ pub enum ResultError {
     },
 }
 
+/// χ² per degree of freedom of the calibration from which the operator is warned.
+pub const CALIBRATION_CHI2_MAX: f64 = 4.0;
+
+/// Mean of spray − blank without spray from which the operator is warned, in counts: at 58 counts (449 K) it is 0.04 K.
+const ZERO_DIFFERENCE_MAX: f64 = 0.05;
+
+/// Pixels whose emissivity is below this many of its standard deviations count as seeing no spray.
+const NO_SPRAY_SIGMAS: f64 = 2.0;
+
+/// Fewest such pixels for a mean to be told.
+const NO_SPRAY_PIXELS_MIN: usize = 100;
+
 /// Writes the result files to `out`; returns the summary in words.
 ///
 /// # Errors
@@ -69,7 +82,7 @@ pub fn write(
         let lines = map::lines_with_same_weights(sums, &inputs, &world.x_counts, &world.difference_counts);
         Judged::of(&map, world, world.statistical(&lines), config.emissivity_min())
     });
-    let summary = summary(reduced, config, calibrated, &map, judged.as_ref());
+    let summary = summary(reduced, config, calibrated, &map, judged.as_ref(), sums);
     let meta = ResultMeta { title: config.campaign.name.clone(), more: json!({}) };
     files::write_result(out, &map, &meta)?;
     let folder = RunFolder::at(out);
@@ -187,6 +200,7 @@ fn summary(
     calibrated: &Calibrated,
     map: &DitMap,
     judged: Option<&Judged>,
+    sums: &Sums,
 ) -> Value {
     let abscissae = fitting::abscissae(&reduced.levels, config, &calibrated.calibration);
     let levels: Vec<Value> = reduced
@@ -235,6 +249,7 @@ fn summary(
             "points": calibrated.calibration.points.len(),
             "utc": calibrated.calibration.utc,
         },
+        "zero_difference_counts": zero_difference(map, sums),
         "far_window_counts": fitting::far_window_counts(config, &calibrated.calibration),
         "spray": {
             "emissivity_min": config.emissivity_min(),
@@ -259,6 +274,29 @@ fn over_spray(map: &DitMap, emissivity_min: f64) -> (usize, f64, f64) {
     (pixels, median(temperatures), median(sigmas))
 }
 
+/// Mean of spray − blank, in counts, over all levels and the pixels that see no spray: zero but for a camera that is
+/// still warming up, drift, or vapour that an injection left. `None` when there are too few such pixels.
+fn zero_difference(map: &DitMap, sums: &Sums) -> Option<f64> {
+    let bare: Vec<usize> = (0..map.emissivity.len())
+        .filter(|&i| {
+            map.emissivity[i].abs() < NO_SPRAY_SIGMAS * map.sigma_emissivity[i]
+                && map.flags[i] & flag::DEAD == 0
+        })
+        .collect();
+    if bare.len() < NO_SPRAY_PIXELS_MIN {
+        return None;
+    }
+    let b = sums.blanks_per_cycle();
+    let (mut sum, mut n) = (0.0, 0u32);
+    for level in sums.levels() {
+        for &i in bare.iter().filter(|&&i| level.count[i] > 0) {
+            sum += accumulate::mean(level.sum[i], level.count[i], b);
+            n += 1;
+        }
+    }
+    (n > 0).then(|| sum / f64::from(n))
+}
+
 fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() {
         return f64::NAN;
@@ -280,11 +318,32 @@ fn words(summary: &Value, map: &DitMap, judged: Option<&Judged>, config: &Config
         summary["cycles"]["lost"],
         map.estimator.name()
     );
-    let _ = writeln!(
-        out,
-        "spray     {pixels} pixels with emissivity above {}: median {temperature:.2} K, median σ {sigma:.2} K",
-        config.emissivity_min()
-    );
+    if pixels == 0 {
+        let _ = writeln!(out, "spray     no pixel with emissivity above {}", config.emissivity_min());
+    } else {
+        let _ = writeln!(
+            out,
+            "spray     {pixels} pixels with emissivity above {}: median {temperature:.2} K, median σ {sigma:.2} K",
+            config.emissivity_min()
+        );
+    }
+    let (chi2, dof) = (summary["calibration"]["chi2"].as_f64(), summary["calibration"]["dof"].as_f64());
+    if let (Some(chi2), Some(dof)) = (chi2, dof)
+        && chi2 > CALIBRATION_CHI2_MAX * dof
+    {
+        let _ = writeln!(
+            out,
+            "WARNING   the calibration's χ² is {chi2:.1} for {dof} degrees of freedom: its points do not lie on one curve"
+        );
+    }
+    if let Some(zero) = summary["zero_difference_counts"].as_f64()
+        && zero.abs() > ZERO_DIFFERENCE_MAX
+    {
+        let _ = writeln!(
+            out,
+            "WARNING   spray − blank is {zero:+.3} counts where there is no spray: warming up, drift or left-over vapour"
+        );
+    }
     if let Some(judged) = judged {
         let mut figures = |what: &str, figures: Option<ErrorFigures>, note: &str| {
             if let Some(f) = figures {

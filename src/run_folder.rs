@@ -161,7 +161,9 @@ fn readme(name: &str, utc: &str) -> String {
          campaign.toml          the campaign file as run\n\
          journal.jsonl          everything that happened, one JSON object a line; `crc` is the CRC-32 of the line before `,\"crc\"`\n\
          telemetry.csv          every reading of the plate; times in ns since the start, temperatures in K\n\
-         frames/levelNN_KIND.npy  raw counts, u16 [frame, row, column], row 0 at the top; NN counts plate levels from 01\n\
+         frames/levelNN_KIND.npy  raw counts, u16 [frame, row, column], row 0 at the top; NN counts plate levels from 01.\n\
+         \x20                      Frames of rejected cycles are in there too: what counts are the `frame` records of\n\
+         \x20                      journal.jsonl whose level and cycle have a `cycle-accepted` record\n\
          calibration/           the calibration that was used: calibration.json, flat.npy, and its own run when it was measured here\n\
          result/dit.npz         maps, f64 [row, column]: emissivity, temperature_k, sigma_…, slope, offset, crossing, chi2; count [level, row, column]; flags\n\
          result/dit.exr         the same as f32 channels;  result/temperature_k.tif  for Fiji;  result/*.png  previews with colour bars\n\

@@ -204,7 +204,8 @@ mod tests {
 
     #[test]
     fn a_reading_that_is_not_a_number_restarts_the_hold_time() {
-        let at = settled_at(|t| if (t - 50.0).abs() < 0.5 { f64::NAN } else { 400.0 + noise(t) }).expect("settles");
+        let at = settled_at(|t| if (t - 50.0).abs() < 0.5 { f64::NAN } else { 400.0 + noise(t) })
+            .expect("settles");
         assert!(at >= 110.0, "settled at {at} s");
     }
 

@@ -199,7 +199,7 @@ fn single_rays(scene: &Scene, path: &Path, args: &Args) -> CommandResult {
         let list: Vec<serde_json::Value> = rows
             .map(|row| names.iter().zip(row).map(|(n, v)| (n.clone(), serde_json::json!(v))).collect())
             .collect();
-        return print(&serde_json::json!({ "rays": list }).to_string());
+        return super::print(&format!("{}\n", serde_json::json!({ "rays": list })));
     }
     let mut out = format!("{},{}\n", table.header, names.join(","));
     for (line, row) in table.lines.iter().zip(rows) {
@@ -214,14 +214,7 @@ fn single_rays(scene: &Scene, path: &Path, args: &Args) -> CommandResult {
         }
         out.push('\n');
     }
-    print(out.trim_end())
-}
-
-#[expect(clippy::print_stdout, reason = "the command's answer")]
-#[expect(clippy::unnecessary_wraps, reason = "the end of a command")]
-fn print(text: &str) -> CommandResult {
-    println!("{text}");
-    Ok(())
+    super::print(&out)
 }
 
 /// The rays of a CSV file, with their lines as they were.
@@ -389,8 +382,8 @@ fn report(images: &Images, json: bool) -> CommandResult {
     if json {
         let map: serde_json::Map<String, serde_json::Value> =
             all.map(|(name, value)| (name.clone(), serde_json::json!(value))).collect();
-        return print(&serde_json::Value::Object(map).to_string());
+        return super::print(&format!("{}\n", serde_json::Value::Object(map)));
     }
     let lines: Vec<String> = all.map(|(name, value)| format!("{name:24} {value}")).collect();
-    print(&lines.join("\n"))
+    super::print(&format!("{}\n", lines.join("\n")))
 }

@@ -13,6 +13,9 @@ pub struct Args {
     /// Folder to write `result/` into; a temporary one without it
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 /// Replays a run.
@@ -27,8 +30,12 @@ pub fn run(args: Args) -> CommandResult {
     let result = out.join("result");
     let replayed = session::replay(&args.folder, &result, None);
     let compared = replayed.map_err(CommandError::from).and_then(|words| {
-        let report = compare(&args.folder.join("result"), &result)?;
-        Ok(format!("{words}{report}"))
+        let files = compare(&args.folder.join("result"), &result)?;
+        Ok(if args.json {
+            format!("{:#}\n", serde_json::json!({ "equal": true, "files": files }))
+        } else {
+            format!("{words}replay    {} files, equal byte for byte\n", files.len())
+        })
     });
     if temporary {
         // What was only made for the comparison; a leftover would do no harm.
@@ -39,7 +46,12 @@ pub fn run(args: Args) -> CommandResult {
 
 /// Names of the plain files of a folder, sorted.
 fn names(folder: &Path) -> Result<Vec<String>, CommandError> {
-    let failed = |error: std::io::Error| CommandError::failure(format!("{}: {error}", folder.display()));
+    let failed = |error: std::io::Error| {
+        CommandError::failure(format!(
+            "{}: {error}. A run that has not ended has no result: `ditd resume` it first.",
+            folder.display()
+        ))
+    };
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         found.push(entry.map_err(failed)?.file_name().to_string_lossy().into_owned());
@@ -48,8 +60,8 @@ fn names(folder: &Path) -> Result<Vec<String>, CommandError> {
     Ok(found)
 }
 
-/// Compares two result folders; status 5 with the list of differences.
-fn compare(recorded: &Path, replayed: &Path) -> Result<String, CommandError> {
+/// Compares two result folders: the names of the equal files, or status 5 with the list of differences.
+fn compare(recorded: &Path, replayed: &Path) -> Result<Vec<String>, CommandError> {
     let (old, new) = (names(recorded)?, names(replayed)?);
     let mut differences = String::new();
     for name in old.iter().chain(new.iter().filter(|name| !old.contains(name))) {
@@ -66,7 +78,7 @@ fn compare(recorded: &Path, replayed: &Path) -> Result<String, CommandError> {
         let _ = writeln!(differences, "  {name}: {why}");
     }
     if differences.is_empty() {
-        return Ok(format!("replay    {} files, equal byte for byte\n", old.len()));
+        return Ok(old);
     }
     Err(CommandError {
         code: 5,

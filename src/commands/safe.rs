@@ -10,6 +10,9 @@ use std::path::PathBuf;
 pub struct Args {
     /// Campaign file, or the name of a built-in one
     config: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 /// Injector channel off, trigger clock off, camera off, plate to its minimum. Idempotent.
@@ -20,5 +23,8 @@ pub struct Args {
 pub fn run(args: Args, clock: &Clock) -> CommandResult {
     let (source, config) = load(&args.config)?;
     session::make_safe(&setting(&source, &config, clock)?)?;
+    if args.json {
+        return print("{\"safe\": true}\n");
+    }
     print("safe: injector channel off, trigger clock off, camera off, plate to its minimum\n")
 }

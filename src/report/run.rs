@@ -5,6 +5,7 @@ use crate::config::Config;
 use crate::estimate::accumulate::{self, Sums};
 use crate::estimate::map::{DitMap, FitInputs, flag};
 use crate::reduce::Reduced;
+use crate::result::CALIBRATION_CHI2_MAX;
 use crate::session::Calibrated;
 use serde_json::Value;
 
@@ -273,7 +274,7 @@ fn warnings(material: &Material<'_>) -> Vec<String> {
         }
     }
     let fit = &material.calibrated.calibration.fit;
-    if fit.dof > 0 && fit.chi2 > 4.0 * fit.dof as f64 {
+    if fit.dof > 0 && fit.chi2 > CALIBRATION_CHI2_MAX * fit.dof as f64 {
         found.push(format!("The calibration's χ² is {:.1} for {} degrees of freedom.", fit.chi2, fit.dof));
     }
     let range = &fit.range;
