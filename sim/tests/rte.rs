@@ -219,6 +219,43 @@ fn images_agree_with_single_rays() {
     }
 }
 
+/// The errors that an image declares are its true ones within a factor of two, although most of them is not noise but
+/// the reconstruction of scattered light between its samples.
+#[test]
+fn declared_errors_of_images_are_the_true_ones() {
+    for case in ["blob", "jets"] {
+        let (medium, plate) = grid_medium(case);
+        let camera = camera(24, 18);
+        let image = render_image(&medium, &camera, Some(&plate), &RenderOptions::default(), &|_| {}).unwrap();
+        let sights = camera.sights().unwrap();
+        let plate = ditd_sim::tracer::plate::Plate::new(&plate).unwrap();
+        let body = Body::grid(&medium, 0).unwrap();
+        let chosen: Vec<usize> = (0..image.pixels.len()).step_by(7).collect();
+        let rays: Vec<_> = chosen
+            .iter()
+            .map(|&i| image.pixels[i] as usize)
+            .map(|p| sights.ray((p / 24) as f64 + 0.5, (p % 24) as f64 + 0.5))
+            .collect();
+        let options = RayOptions { target_error: 4e-4, seed: 3, paths_max: 1 << 15 };
+        let answers = render_rays(&body, &rays, Some(&plate), &options).unwrap();
+        let square = |v: f64| v * v;
+        let (mut truth, mut declared) = ([0.0; 2], [0.0; 2]);
+        for (&i, answer) in chosen.iter().zip(&answers) {
+            // The rays' own errors do not count.
+            truth[0] += square(f64::from(image.a_plate[i]) - answer.plate) - square(answer.se_plate);
+            truth[1] +=
+                square(f64::from(image.emission[3 * i]) - answer.medium[0]) - square(answer.se_medium[0]);
+            declared[0] += square(f64::from(image.error_plate[i]));
+            declared[1] += square(f64::from(image.error_medium[i]));
+        }
+        let ratio = [0, 1].map(|k| (declared[k] / truth[k]).sqrt());
+        let n = chosen.len() as f64;
+        let rms = truth.map(|t| (t / n).sqrt());
+        println!("{case}: true rms {rms:?}, declared over true {ratio:?}");
+        assert!(ratio.iter().all(|r| (0.5..2.0).contains(r)), "{case}: {ratio:?} of {rms:?}");
+    }
+}
+
 fn small_medium() -> (GridMedium, PlateShape) {
     grid_medium("blob")
 }

@@ -149,7 +149,7 @@ pub(super) struct Leaf {
     /// Lower corner in cells.
     corner: [usize; 3],
     /// Edge in cells.
-    edge: usize,
+    pub(super) edge: usize,
     /// Place of its cells in `Leaves::members`.
     first: usize,
     count: usize,
@@ -668,6 +668,25 @@ impl Leaves {
             let alike = (a.min(b) / a.max(b).max(1e-30)).powi(4);
             let weight = narrow(0.5_f64.powf(distance)) * across * alike;
             (other != leaf && weight > 1e-2).then_some((other, weight))
+        })
+    }
+
+    /// The leaves on both sides along each axis, where both are there.
+    pub(super) fn opposite<const N: usize>(
+        &self,
+        medium: &Packed<N>,
+        leaf: usize,
+    ) -> impl Iterator<Item = [usize; 2]> {
+        let own = &self.list[leaf];
+        let edge = real(own.edge);
+        let centre = own.corner.map(|c| real(c) + 0.5 * edge);
+        (0..3).filter_map(move |axis| {
+            let beside = |step: f64| {
+                let mut place = centre;
+                place[axis] += step;
+                self.at(medium, place)
+            };
+            Some([beside(-edge)?, beside(edge)?])
         })
     }
 

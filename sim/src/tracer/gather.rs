@@ -18,6 +18,8 @@ pub(super) struct Sight<const N: usize> {
     pub(super) direct: Vec<[Lane; N]>,
     /// Noise of plate and channel 0: Σ weight · noise of the cache.
     pub(super) noise: [[Lane; N]; 2],
+    /// Error of the reconstruction of plate and channel 0: Σ weight · bias of the cache.
+    pub(super) bias: [[Lane; N]; 2],
     /// Sights added.
     pub(super) count: usize,
 }
@@ -30,6 +32,7 @@ impl<const N: usize> Sight<N> {
             emission: vec![[Lane::ZERO; N]; channels],
             direct: vec![[Lane::ZERO; N]; channels],
             noise: [[Lane::ZERO; N]; 2],
+            bias: [[Lane::ZERO; N]; 2],
             count: 0,
         }
     }
@@ -39,6 +42,7 @@ impl<const N: usize> Sight<N> {
         self.plate = [Lane::ZERO; N];
         self.emission.iter_mut().chain(&mut self.direct).for_each(|row| *row = [Lane::ZERO; N]);
         self.noise = [[Lane::ZERO; N]; 2];
+        self.bias = [[Lane::ZERO; N]; 2];
         self.count = 0;
     }
 
@@ -99,6 +103,8 @@ impl<const N: usize> Sight<N> {
                     let share = weight[n] * medium.albedo[o][n];
                     self.noise[0][n].add_product(share, scattered.noise[o][0][n]);
                     self.noise[1][n].add_product(share, scattered.noise[o][1][n]);
+                    self.bias[0][n].add_product(share, scattered.bias[o][0][n]);
+                    self.bias[1][n].add_product(share, scattered.bias[o][1][n]);
                 }
             }
             // Smallest normal number of f32: beyond it nothing can be seen.
@@ -116,9 +122,19 @@ impl<const N: usize> Sight<N> {
 impl<const N: usize> Sight<N> {
     /// Rms noise over the groups, of plate and channel 0.
     pub(super) fn noise_rms(&self, groups: usize) -> [f32; 2] {
+        self.rms(&self.noise, groups)
+    }
+
+    /// Rms over the groups of noise and reconstruction together, of plate and channel 0.
+    pub(super) fn error_rms(&self, groups: usize) -> [f32; 2] {
+        let (noise, bias) = (self.rms(&self.noise, groups), self.rms(&self.bias, groups));
+        [noise[0].hypot(bias[0]), noise[1].hypot(bias[1])]
+    }
+
+    fn rms(&self, rows: &[[Lane; N]; 2], groups: usize) -> [f32; 2] {
         let scale = 1.0 / super::packed::narrow(self.count.max(1) as f64);
-        self.noise.map(|rows| {
-            let square: f32 = rows.iter().map(|lane| lane.map(|v| v * v).sum()).sum();
+        rows.map(|row| {
+            let square: f32 = row.iter().map(|lane| lane.map(|v| v * v).sum()).sum();
             (square / super::packed::narrow(groups as f64)).sqrt() * scale
         })
     }

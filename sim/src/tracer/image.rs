@@ -322,7 +322,7 @@ impl Job<'_> {
                         &mut plates[i * groups..(i + 1) * groups],
                         &mut emissions[i * wide..i * wide + groups],
                     );
-                    noise.push(sight.noise_rms(groups));
+                    noise.push(sight.error_rms(groups));
                 }
                 noise
             })

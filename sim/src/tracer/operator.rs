@@ -27,9 +27,10 @@ pub struct Operator {
     pub emission: Vec<f32>,
     /// Emission along the straight sight only, extinction applied, no in-scattering: `[active pixel][channel][group]`.
     pub direct: Vec<f32>,
-    /// Estimated standard error of a_plate, `[active pixel]`, rms over groups.
+    /// Estimated error of a_plate (sampling noise, and what the reconstruction of scattered light bends), `[active
+    /// pixel]`, rms over groups and over nearby pixels.
     pub error_plate: Vec<f32>,
-    /// Estimated standard error of a_medium, `[active pixel]`, rms over groups.
+    /// The same of a_medium.
     pub error_medium: Vec<f32>,
     /// What was done and what was skipped.
     pub stats: Vec<(String, f64)>,

@@ -1,0 +1,274 @@
+//! Scene files through the reader, the tracer and the lights: every kind of medium, the shipped spray, and windows.
+
+use ditd_sim::light::fuel::Fuel;
+use ditd_sim::light::window::{Material, Plate as Glass};
+use ditd_sim::scene::compact;
+use ditd_sim::scene::file::{self, MediumSource, Scene, SceneError};
+use ditd_sim::scene::lights::{Lights, Share};
+use ditd_sim::tracer::image::{RenderOptions, render_image};
+use ditd_sim::tracer::plate::Plate;
+use ditd_sim::tracer::rays::{RayOptions, render_rays};
+use ditd_sim::tracer::shape::Body;
+use std::path::Path;
+
+const VIEW: &str = r#"
+[camera]
+kind = "pinhole"
+position_m = [0.0, -0.6, -0.025]
+look_at_m = [0.0, 0.0, -0.025]
+up = [0.0, 0.0, 1.0]
+columns = 32
+rows = 24
+horizontal_fov_deg = 6.68
+[plate]
+shape = "disc"
+centre_m = [0.0, 0.5, -0.025]
+facing = [0.0, -1.0, 0.0]
+diameter_m = 0.3
+temperature_k = 433.0
+[walls]
+temperature_k = 523.0
+"#;
+
+const SPRAY: &str = r#"
+[medium]
+kind = "cfd"
+path = "eighthole_4bar_523K_0.9ms"
+fuel = "n-heptane"
+cell_m = 0.002
+"#;
+
+const BAND: &str = "[band]\nwavelength_um = 3.4\n";
+
+fn scene_in(folder: &Path, text: &str) -> Result<Scene, SceneError> {
+    let path = folder.join("scene.toml");
+    std::fs::write(&path, text).unwrap();
+    file::load(&path).and_then(Scene::with_spray)
+}
+
+fn scene(text: &str) -> Result<Scene, SceneError> {
+    scene_in(tempfile::tempdir().unwrap().path(), text)
+}
+
+/// One ray through the middle of the picture, 5 mm beside the axis: a share per spectral group.
+fn shares(scene: &Scene) -> Vec<Share> {
+    let plate = scene.plate.as_ref().map(|p| Plate::new(&p.shape).unwrap());
+    let bodies = match scene.medium.as_ref().unwrap() {
+        MediumSource::Shape(shape, _) => vec![Body::shape(shape).unwrap()],
+        MediumSource::Grid(grid, _) => vec![Body::grid(grid, 0).unwrap()],
+        MediumSource::Spectral(grid, _) => (0..grid.groups).map(|g| Body::grid(grid, g).unwrap()).collect(),
+        MediumSource::Cfd(_) => panic!("the spray is imported"),
+    };
+    let options = RayOptions { target_error: 3e-3, seed: 1, paths_max: 1 << 14 };
+    let ray = ([0.005, -0.6, -0.025], [0.0, 2.0, 0.0]);
+    let share = |body: &Body<'_>| {
+        let answer = render_rays(body, &[ray], plate.as_ref(), &options).unwrap().remove(0);
+        Share {
+            plate: answer.plate,
+            walls: answer.walls,
+            medium: answer.medium[0],
+            emission: answer.medium.get(1).copied().unwrap_or(0.0),
+            se: [answer.se_plate, answer.se_walls, answer.se_medium[0]],
+        }
+    };
+    bodies.iter().map(share).collect()
+}
+
+#[test]
+fn every_kind_of_medium_is_read_traced_and_lit() {
+    let folder = tempfile::tempdir().unwrap();
+    // An array of 2×2×2 in NPY, version 1.
+    let mut npy = b"\x93NUMPY\x01\x00".to_vec();
+    let mut head = "{'descr': '<f8', 'fortran_order': False, 'shape': (2, 2, 2), }".to_owned();
+    while (10 + head.len() + 1) % 64 != 0 {
+        head.push(' ');
+    }
+    head.push('\n');
+    npy.extend(u16::try_from(head.len()).unwrap().to_le_bytes());
+    npy.extend(head.as_bytes());
+    (0..8).for_each(|_| npy.extend(50.0_f64.to_le_bytes()));
+    std::fs::write(folder.path().join("sigma.npy"), npy).unwrap();
+    let gray = "albedo = 0.5\ntemperature_k = 450\n";
+    for kind in [
+        "kind = \"slab\"\noptical_depth = 1.0\nthickness_m = 0.02",
+        "kind = \"sphere\"\ncentre_m = [0, 0, -0.025]\nradius_m = 0.01\nextinction = 50",
+        "kind = \"cylinder\"\ncentre_m = [0, 0, 0]\naxis = [0, 0, 1]\nradius_m = 0.01\nextinction = 50",
+        "kind = \"gaussian\"\ncentre_m = [0, 0, -0.025]\nwidth_m = 0.01\nextinction = 50",
+        "kind = \"box\"\nlower_m = [-0.01, -0.01, -0.03]\nupper_m = [0.01, 0.01, -0.02]\nextinction = 50",
+        "kind = \"grid\"\nlower_m = [-0.01, -0.01, -0.03]\nupper_m = [0.01, 0.01, -0.02]\nextinction_npy = \"sigma.npy\"",
+    ] {
+        let scene = scene_in(folder.path(), &format!("{VIEW}{BAND}[medium]\n{kind}\n{gray}")).unwrap();
+        let shares = shares(&scene);
+        let lights = Lights::new(&scene);
+        let seen = lights.see(&shares);
+        // A slab is parallel to this ray, which passes below it.
+        assert_eq!(seen.medium > 0.05, !kind.contains("slab"), "{kind}: {seen:?}");
+        assert!((seen.plate + seen.walls + seen.medium - 1.0).abs() < 1e-14, "{kind}: {seen:?}");
+        let band = scene.band.as_ref().unwrap();
+        let light = seen.plate * band.radiance(433.0)
+            + seen.walls * band.radiance(523.0)
+            + seen.medium * band.radiance(450.0);
+        assert!((seen.radiance / light - 1.0).abs() < 1e-12, "{kind}: {seen:?} {light}");
+    }
+}
+
+/// The shipped spray in three groups of a filter: along a sight through vapour only, the absorption is that of the
+/// column of the CFD's own cells (sharp on the grid's scale only where cells are uniform: 10 %).
+#[test]
+fn the_shipped_spray_absorbs_as_its_column() {
+    let scene = scene(&format!("{VIEW}{BAND}{SPRAY}")).unwrap();
+    let Some(MediumSource::Spectral(grid, band)) = &scene.medium else { panic!("a spectral grid") };
+    assert_eq!((grid.groups, grid.channels, band.len()), (1, 2, 1));
+    let spray = compact::shipped().unwrap();
+    let fuel = Fuel::named("n-heptane").unwrap();
+    // All vapour in the box of the grid: ∫k_abs dV = Σ moles × cross-section at the cell's temperature. Droplets add.
+    let vapour: f64 = spray
+        .cells
+        .iter()
+        .flatten()
+        .map(|cell| {
+            let volume: f64 = (0..3).map(|a| cell.upper_m[a] - cell.lower_m[a]).product();
+            let moles = cell.density_kg_m3 * cell.fuel_mass_fraction * volume / spray.fuel_molar_mass_kg_mol;
+            moles * fuel.vapour_cross_section_m2_mol(3.4, cell.temperature_k)
+        })
+        .sum();
+    let volume: f64 = (0..3).map(|a| (grid.upper_m[a] - grid.lower_m[a]) / grid.cells[a] as f64).product();
+    let absorbed: f64 = grid.k_ext.iter().zip(&grid.k_sca).map(|(e, s)| (e - s) * volume).sum();
+    assert!(
+        absorbed > 0.98 * vapour && absorbed < 2.0 * vapour,
+        "{absorbed} against {vapour} of vapour alone"
+    );
+
+    let plate = scene.plate.as_ref().map(|p| &p.shape);
+    let camera = scene.camera.as_ref().unwrap();
+    let options = RenderOptions { target_error: 3e-3, ..RenderOptions::default() };
+    let image = render_image(grid, camera, plate, &options, &|_| {}).unwrap();
+    assert!(image.pixels.len() > 100, "{}", image.pixels.len());
+    // Column of the CFD's own cells along the sights that see the medium, by volume: mean over the picture.
+    let sights = camera.sights().unwrap();
+    let body = Body::grid(grid, 0).unwrap();
+    for (i, &pixel) in image.pixels.iter().enumerate().step_by(7) {
+        let (row, column) = (pixel as usize / 32, pixel as usize % 32);
+        let (origin, direction) = sights.ray(row as f64 + 0.5, column as f64 + 0.5);
+        let depth = body.optical_depth(origin, direction);
+        let [plate, medium] = [image.a_plate[i], image.emission[2 * i]].map(f64::from);
+        // What is absorbed is at most what is stopped, but for light that is scattered on longer ways.
+        assert!(medium <= -(-depth).exp_m1() + 0.05, "{medium} {depth}");
+        assert!(plate + medium <= 1.0 + 1e-6 && plate >= 0.0 && medium >= 0.0);
+    }
+}
+
+/// Placed, the spray's tip and axis are where the scene wants them.
+#[test]
+fn a_spray_is_put_where_the_scene_says() {
+    let at = |extra: &str| {
+        let scene = scene(&format!("{VIEW}{BAND}{SPRAY}{extra}")).unwrap();
+        let Some(MediumSource::Spectral(grid, _)) = scene.medium else { panic!("a spectral grid") };
+        [grid.lower_m, grid.upper_m]
+    };
+    let (still, moved) = (at(""), at("scene_tip_m = [0.1, 0.2, 0.3]\n"));
+    for (a, b) in still.iter().zip(&moved) {
+        for (k, by) in [0.1, 0.2, 0.3].into_iter().enumerate() {
+            assert!((b[k] - a[k] - by).abs() < 1e-9, "{still:?} {moved:?}");
+        }
+    }
+    let turned = at("axis = [0, 0, -1]\nscene_axis = [0, 1, 0]\n");
+    // What was below is now along y.
+    assert!((turned[1][1] + still[0][2]).abs() < 1e-9, "{still:?} {turned:?}");
+}
+
+fn window(y: f64, t: f64) -> String {
+    format!(
+        "[[window]]\nposition_m = [0.0, {y}, -0.025]\nnormal = [0.0, 1.0, 0.0]\nmaterial = \"CaF2\"\n\
+         thickness_m = 0.01\ntemperature_k = {t}\n"
+    )
+}
+
+/// Between two windows: β γ_n [a_plate (γ_f I(T_P) + E_f) + spray and walls] + offset with E_f = A_f I(T_f) + R_f I(T_E)
+/// and the offset A_n I(T_n) + R_n I(T_lab); all coefficients sum to 1.
+#[test]
+fn a_pair_of_windows_combines_as_the_equation_says() {
+    let sphere = "[medium]\nkind = \"sphere\"\ncentre_m = [0, 0, -0.025]\nradius_m = 0.01\nextinction = 50\nalbedo = 0.5\n\
+         temperature_k = 450\n";
+    let text = format!(
+        "{VIEW}{BAND}[lab]\ntemperature_k = 296\n{}{}{sphere}",
+        window(-0.1, 400.0),
+        window(0.1, 470.0)
+    );
+    let scene = scene(&text).unwrap();
+    let shares = shares(&scene);
+    let [share] = shares.as_slice() else { panic!("one share") };
+    let seen = Lights::new(&scene).see(&shares);
+    let sum = seen.plate + seen.walls + seen.medium + seen.window + seen.camera_side;
+    assert!((sum - 1.0).abs() < 1e-14, "{seen:?}");
+    let glass = Glass { material: Material::CalciumFluoride, thickness_m: 0.01 };
+    let (n, f) = (glass.optics(3.4, 400.0), glass.optics(3.4, 470.0));
+    let b = |t| scene.band.as_ref().unwrap().radiance(t);
+    let far = f.absorptance * b(470.0) + f.reflectance * b(523.0);
+    let inside =
+        share.plate * (f.transmittance * b(433.0) + far) + share.walls * b(523.0) + share.medium * b(450.0);
+    let wanted = n.transmittance * inside + n.absorptance * b(400.0) + n.reflectance * b(296.0);
+    assert!((seen.radiance / wanted - 1.0).abs() < 1e-13, "{seen:?} {wanted}");
+    assert!((seen.plate - n.transmittance * f.transmittance * share.plate).abs() < 1e-15);
+    // All at one temperature looks like that temperature.
+    let even = ["433.0", "523.0", "296", "400", "470", "450"]
+        .iter()
+        .fold(text, |text, t| text.replace(&format!("temperature_k = {t}"), "temperature_k = 500"));
+    let even = self::scene(&even).unwrap();
+    let seen = Lights::new(&even).see(&shares);
+    assert!((seen.radiance / b(500.0) - 1.0).abs() < 1e-13, "{seen:?}");
+}
+
+/// Over a band each coefficient times the band radiance of its source is its light, and one temperature everywhere
+/// looks like it.
+#[test]
+fn bands_weigh_coefficients_with_the_light_of_their_source() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("filter.csv"), "wavelength_um,response\n3.2,0\n3.3,1\n3.5,1\n3.6,0\n")
+        .unwrap();
+    let band = "[band]\nresponse = \"filter.csv\"\nsamples = 3\n";
+    let scene = scene_in(folder.path(), &format!("{VIEW}{band}{SPRAY}")).unwrap();
+    let shares = shares(&scene);
+    assert_eq!(shares.len(), 3);
+    let lights = Lights::new(&scene);
+    let seen = lights.see(&shares);
+    let Some(MediumSource::Spectral(_, samples)) = &scene.medium else { panic!("a spectral grid") };
+    let light =
+        seen.plate * samples.signal(433.0) + seen.walls * samples.signal(523.0) + seen.radiance_medium;
+    assert!((seen.radiance / light - 1.0).abs() < 1e-12, "{seen:?} {light}");
+    // The medium's light corresponds to a temperature between those of droplets and gas.
+    let t = samples.inverse(seen.radiance_medium / seen.medium).unwrap();
+    assert!((300.0..523.0).contains(&t), "{t} K, {seen:?}");
+    for g in 0..3 {
+        let seen = lights.see_group(&shares, g);
+        assert!((seen.plate + seen.walls + seen.medium - 1.0).abs() < 1e-14, "{g}: {seen:?}");
+    }
+}
+
+#[test]
+fn errors_name_file_and_line() {
+    let says = |text: &str, words: &[&str]| {
+        let error = scene(text).unwrap_err().to_string();
+        assert!(words.iter().all(|w| error.contains(w)), "{words:?}: {error}");
+    };
+    // VIEW has 17 lines, the first one empty.
+    says(&format!("{VIEW}{SPRAY}"), &["scene.toml", "line 18", "needs a [band]"]);
+    says(&format!("{VIEW}{BAND}{}", SPRAY.replace("n-heptane", "water")), &["line 23", "water", "n-octane"]);
+    says(&format!("{VIEW}{BAND}{}", SPRAY.replace("eight", "nine")), &["scene.toml", "ninehole"]);
+    says(&format!("{VIEW}{BAND}{SPRAY}time_s = 0.5\n"), &["line 25", "0.0009"]);
+    says(&format!("{VIEW}{BAND}{}", window(-0.1, 400.0)), &["line 20", "[lab]"]);
+    let lab = "[lab]\ntemperature_k = 296\n";
+    says(&format!("{VIEW}{lab}{}", window(-0.1, 400.0)), &["[band]"]);
+    let wood = window(0.1, 400.0).replace("CaF2", "wood");
+    says(&format!("{VIEW}{BAND}{lab}{}{wood}", window(-0.1, 400.0)), &["line 31", "wood", "sapphire"]);
+    says(
+        &format!("{VIEW}{BAND}{lab}{}{}", window(-0.1, 400.0), window(-0.2, 400.0)),
+        &["second window", "camera"],
+    );
+    let askew = window(-0.1, 400.0).replace("normal = [0.0, 1.0", "normal = [1.0, 1.0");
+    says(&format!("{VIEW}{BAND}{lab}{askew}"), &["line 24", "20°"]);
+    let small = format!("{}diameter_m = 0.01\n", window(-0.1, 400.0));
+    says(&format!("{VIEW}{BAND}{lab}{small}"), &["diameter_m", "past"]);
+    says("[band]\nresponse = \"none.csv\"\n", &["none.csv"]);
+    says("[band]\nwavelength_um = 3.4\nsamples = \"many\"\n", &["line 3", "auto"]);
+}
