@@ -1,6 +1,6 @@
 //! `ditd fit`: refits a run folder, a stack of recorded frames, or lines of known variances.
 
-use super::{CommandError, CommandResult};
+use super::{CommandError, CommandResult, print};
 use crate::estimate::calibration::SakumaHattori;
 use crate::estimate::line::Fieller;
 use crate::estimate::map::{self, DitMap, Estimator};
@@ -10,7 +10,6 @@ use crate::stack::{Calibration, CaseCurve, Fitted, Stack, StackError};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `ditd fit`.
@@ -102,9 +101,9 @@ fn fit_run(args: &Args) -> CommandResult {
         let path = out.join("summary.json");
         let text = std::fs::read_to_string(&path)
             .map_err(|error| CommandError::failure(format!("{}: {error}", path.display())))?;
-        return super::print(&text);
+        return print(&text);
     }
-    super::print(&words)
+    print(&words)
 }
 
 fn fit_stack(args: &Args) -> CommandResult {
@@ -187,12 +186,6 @@ fn readable(fitted: &Fitted, out: &Path) -> String {
         text += &format!("  {pixels:8} pixels {name}\n");
     }
     text + &format!("written to {}\n", out.display())
-}
-
-fn print(text: &str) -> CommandResult {
-    std::io::stdout()
-        .write_all(text.as_bytes())
-        .map_err(|e| CommandError::failure(format!("fit: printing: {e}")))
 }
 
 /// A file of lines with known variances. Numbers are decimal texts or numbers.

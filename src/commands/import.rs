@@ -4,7 +4,6 @@ use super::{CommandError, CommandResult};
 use ditd_sim::scene::compact;
 use ditd_sim::scene::field::{CfdSpray, Totals};
 use ditd_sim::scene::import::{self, ImportOptions, SceneError, Time};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `ditd import`.
@@ -70,9 +69,7 @@ pub fn run(args: Args) -> CommandResult {
     } else {
         table(&totals)
     };
-    std::io::stdout()
-        .write_all(text.as_bytes())
-        .map_err(|e| CommandError::failure(format!("import: writing the totals: {e}")))
+    super::print(&text)
 }
 
 fn chosen(path: &Path, asked: &str) -> Result<Vec<f64>, CommandError> {
