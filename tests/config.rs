@@ -4,7 +4,8 @@ use ditd::config::Config;
 use std::path::Path;
 
 fn quickstart() -> String {
-    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/quickstart.toml")).expect("the quickstart is shipped")
+    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/quickstart.toml"))
+        .expect("the quickstart is shipped")
 }
 
 fn refusal(text: &str) -> String {
