@@ -52,6 +52,18 @@ pub struct Calibration {
     pub fit: CalibrationFit,
 }
 
+/// A calibration and the flat that belongs to it.
+#[derive(Debug, Clone)]
+pub struct Calibrated {
+    /// The curve.
+    pub calibration: Calibration,
+    /// Relative gain per pixel.
+    pub flat: Vec<f64>,
+}
+
+/// χ² per degree of freedom from which the operator is warned.
+pub const CHI2_MAX: f64 = 4.0;
+
 /// Why frames do not make a calibration.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrateError {

@@ -3,6 +3,7 @@
 //! Everything in the result folder is a function of the records, the calibration and the recorded truth: no time,
 //! no host. So a replay's folder is equal byte for byte.
 
+use crate::calibrate::{CHI2_MAX, Calibrated};
 use crate::config::Config;
 use crate::estimate::accumulate::{self, Sums};
 use crate::estimate::map::{self, DitMap, Estimator, flag};
@@ -14,7 +15,6 @@ use crate::reduce::{Reduced, Total};
 use crate::report::run::Material;
 use crate::report::{self, Picture};
 use crate::run_folder::{FolderError, RunFolder};
-use crate::session::Calibrated;
 use crate::truth::{ErrorFigures, StatisticalTruth, WorldTruth, compare};
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -42,9 +42,6 @@ pub enum ResultError {
         why: String,
     },
 }
-
-/// χ² per degree of freedom of the calibration from which the operator is warned.
-pub const CALIBRATION_CHI2_MAX: f64 = 4.0;
 
 /// Mean of spray − blank without spray from which the operator is warned, in counts: at 58 counts (449 K) it is 0.04 K.
 const ZERO_DIFFERENCE_MAX: f64 = 0.05;
@@ -329,7 +326,7 @@ fn words(summary: &Value, map: &DitMap, judged: Option<&Judged>, config: &Config
     }
     let (chi2, dof) = (summary["calibration"]["chi2"].as_f64(), summary["calibration"]["dof"].as_f64());
     if let (Some(chi2), Some(dof)) = (chi2, dof)
-        && chi2 > CALIBRATION_CHI2_MAX * dof
+        && chi2 > CHI2_MAX * dof
     {
         let _ = writeln!(
             out,

@@ -1,7 +1,7 @@
 //! One run from config to result folder: calibration, campaign, map, truth, report. And the same again from a folder.
 
 use crate::archive::Archive;
-use crate::calibrate::{self, CalibrateError, Calibration};
+use crate::calibrate::{self, CalibrateError, Calibrated, Calibration};
 use crate::campaign::{CampaignError, Ended, Engine, Outcome, RecordError, Recorder, StopFlag, header};
 use crate::clock::Clock;
 use crate::config::{Config, ConfigError};
@@ -111,15 +111,6 @@ impl SessionError {
             | Self::Other(_) => 1,
         }
     }
-}
-
-/// A calibration and the flat that belongs to it.
-#[derive(Debug, Clone)]
-pub struct Calibrated {
-    /// The curve.
-    pub calibration: Calibration,
-    /// Relative gain per pixel.
-    pub flat: Vec<f64>,
 }
 
 /// What a session is told.

@@ -1,12 +1,11 @@
 //! The report of a run: pictures first, then what they rest on.
 
 use super::{Block, Picture, Point, Report, plot};
+use crate::calibrate::{CHI2_MAX, Calibrated};
 use crate::config::Config;
 use crate::estimate::accumulate::{self, Sums};
 use crate::estimate::map::{DitMap, FitInputs, flag};
 use crate::reduce::Reduced;
-use crate::result::CALIBRATION_CHI2_MAX;
-use crate::session::Calibrated;
 use serde_json::Value;
 
 /// Emissivity of the pixel whose line is shown, if there is one near it: that of the paper's Fig. 5.
@@ -274,7 +273,7 @@ fn warnings(material: &Material<'_>) -> Vec<String> {
         }
     }
     let fit = &material.calibrated.calibration.fit;
-    if fit.dof > 0 && fit.chi2 > CALIBRATION_CHI2_MAX * fit.dof as f64 {
+    if fit.dof > 0 && fit.chi2 > CHI2_MAX * fit.dof as f64 {
         found.push(format!("The calibration's χ² is {:.1} for {} degrees of freedom.", fit.chi2, fit.dof));
     }
     let range = &fit.range;
