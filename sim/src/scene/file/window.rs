@@ -71,7 +71,8 @@ impl Reader<'_> {
             return Err(self.wrong("[window] needs a [band]: windows depend on the wavelength"));
         }
         if lab.is_none() {
-            return Err(self.wrong("[window] needs [lab] temperature_k: outside the windows is the lab"));
+            return Err(self
+                .wrong("[window] needs a table [lab] with its temperature: outside the windows is the lab"));
         }
         let along = self.line_of_sight(scene)?;
         let middle = middle(scene);
