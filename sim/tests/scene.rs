@@ -85,7 +85,7 @@ fn every_kind_of_medium_is_read_traced_and_lit() {
     // An array of 2×2×2 in NPY, version 1.
     let mut npy = b"\x93NUMPY\x01\x00".to_vec();
     let mut head = "{'descr': '<f8', 'fortran_order': False, 'shape': (2, 2, 2), }".to_owned();
-    while (10 + head.len() + 1) % 64 != 0 {
+    while !(10 + head.len() + 1).is_multiple_of(64) {
         head.push(' ');
     }
     head.push('\n');
