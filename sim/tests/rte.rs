@@ -10,11 +10,12 @@ use ditd_sim::tracer::error::TracerError;
 use ditd_sim::tracer::image::{RenderOptions, render_image};
 use ditd_sim::tracer::medium::GridMedium;
 use ditd_sim::tracer::plate::PlateShape;
-use ditd_sim::tracer::rays::{RayOptions, render_rays};
+use ditd_sim::tracer::rays::{COLLISIONS_PER_RAY_MAX, RayOptions, render_rays};
 use ditd_sim::tracer::shape::{Body, Shape, ShapeMedium};
 use rte_cases::{Row, grid, grid_medium, half_space, json, number, slab, summary, table};
 
-const QUICK: RayOptions = RayOptions { target_error: 1.5e-3, seed: 11, paths_max: 1 << 13 };
+const QUICK: RayOptions =
+    RayOptions { target_error: 1.5e-3, seed: 11, paths_max: 1 << 13, collisions_max: COLLISIONS_PER_RAY_MAX };
 
 /// Largest |z| of n normal numbers stays below 4.5 with probability 1 − 7e-6 n; rms of ~200 correlated ones in 0.7 … 1.3.
 fn assert_consistent(rows: &[Row]) {
@@ -202,7 +203,12 @@ fn images_agree_with_single_rays() {
             .map(|&i| image.pixels[i] as usize)
             .map(|p| sights.ray((p / 24) as f64 + 0.5, (p % 24) as f64 + 0.5))
             .collect();
-        let options = RayOptions { target_error: 1e-3, seed: 3, paths_max: 1 << 13 };
+        let options = RayOptions {
+            target_error: 1e-3,
+            seed: 3,
+            paths_max: 1 << 13,
+            collisions_max: COLLISIONS_PER_RAY_MAX,
+        };
         let answers = render_rays(&body, &rays, Some(&plate), &options).unwrap();
         let (mut plate_square, mut medium_square) = (0.0, 0.0);
         for (&i, answer) in chosen.iter().zip(&answers) {
@@ -236,7 +242,12 @@ fn declared_errors_of_images_are_the_true_ones() {
             .map(|&i| image.pixels[i] as usize)
             .map(|p| sights.ray((p / 24) as f64 + 0.5, (p % 24) as f64 + 0.5))
             .collect();
-        let options = RayOptions { target_error: 4e-4, seed: 3, paths_max: 1 << 15 };
+        let options = RayOptions {
+            target_error: 4e-4,
+            seed: 3,
+            paths_max: 1 << 15,
+            collisions_max: COLLISIONS_PER_RAY_MAX,
+        };
         let answers = render_rays(&body, &rays, Some(&plate), &options).unwrap();
         let square = |v: f64| v * v;
         let (mut truth, mut declared) = ([0.0; 2], [0.0; 2]);

@@ -10,7 +10,7 @@ use ditd_sim::tracer::camera::{Camera, PixelFilter};
 use ditd_sim::tracer::image::{RenderOptions, render_image};
 use ditd_sim::tracer::medium::GridMedium;
 use ditd_sim::tracer::plate::Plate;
-use ditd_sim::tracer::rays::{RayOptions, render_rays};
+use ditd_sim::tracer::rays::{COLLISIONS_PER_RAY_MAX, RayOptions, render_rays};
 use ditd_sim::tracer::shape::Body;
 use std::path::Path;
 
@@ -64,7 +64,12 @@ fn shares(scene: &Scene) -> Vec<Share> {
         }
         MediumSource::Cfd(_) => panic!("the spray is imported"),
     };
-    let options = RayOptions { target_error: 3e-3, seed: 1, paths_max: 1 << 14 };
+    let options = RayOptions {
+        target_error: 3e-3,
+        seed: 1,
+        paths_max: 1 << 14,
+        collisions_max: COLLISIONS_PER_RAY_MAX,
+    };
     let ray = ([0.005, -0.6, -0.025], [0.0, 2.0, 0.0]);
     let share = |body: &Body<'_>| {
         let answer = render_rays(body, &[ray], plate.as_ref(), &options).expect("a sound scene").remove(0);

@@ -95,7 +95,7 @@ fn trace(
 ) -> Result<(Vec<Vec<Share>>, u64), CommandError> {
     let usage = |e: ditd_sim::tracer::error::TracerError| CommandError::usage(format!("render: {e}"));
     let plate = scene.plate.as_ref().map(|p| Plate::new(&p.shape)).transpose().map_err(usage)?;
-    let options = RayOptions { target_error, seed, paths_max: RAY_PATHS_MAX };
+    let options = RayOptions { target_error, seed, paths_max: RAY_PATHS_MAX, ..RayOptions::default() };
     let empty = nothing();
     let bodies = match &scene.medium {
         Some(MediumSource::Shape(shape, _)) => vec![Body::shape(shape)],

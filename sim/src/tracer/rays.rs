@@ -37,11 +37,17 @@ pub struct RayOptions {
     pub seed: u64,
     /// Most paths per ray; when they are used up the standard errors say how far it got.
     pub paths_max: u64,
+    /// Most collisions per ray, over all its paths: bounds the time in deep media that hardly absorb, where a single
+    /// path has thousands. When they are used up the standard errors say how far it got.
+    pub collisions_max: u64,
 }
+
+/// Default of [`RayOptions::collisions_max`]: about 20 s of one core at 200 ns a collision.
+pub const COLLISIONS_PER_RAY_MAX: u64 = 100_000_000;
 
 impl Default for RayOptions {
     fn default() -> Self {
-        Self { target_error: 1e-4, seed: 1, paths_max: 1 << 22 }
+        Self { target_error: 1e-4, seed: 1, paths_max: 1 << 22, collisions_max: COLLISIONS_PER_RAY_MAX }
     }
 }
 
@@ -115,6 +121,7 @@ struct FirstSegment {
 #[derive(Clone)]
 struct Replicate {
     sums: Vec<f64>,
+    collisions: u64,
     cut: u64,
 }
 
@@ -134,8 +141,10 @@ impl World<'_> {
         let first = FirstSegment { pieces, cumulative };
         // Nothing to find: no plate, and a medium that does not emit.
         let needless = scattered <= 0.0 || (self.plate.is_none() && self.body.is_conservative());
-        let mut replicates =
-            vec![Replicate { sums: vec![0.0; 1 + self.channels], cut: 0 }; REPLICATES as usize];
+        let mut replicates = vec![
+            Replicate { sums: vec![0.0; 1 + self.channels], collisions: 0, cut: 0 };
+            REPLICATES as usize
+        ];
         let mut points = 0_u32;
         let mut errors = (0.0, 0.0, vec![0.0; self.channels]);
         if !needless {
@@ -152,6 +161,7 @@ impl World<'_> {
                 let worst = errors.0.max(errors.1).max(errors.2[0]);
                 if worst <= options.target_error
                     || u64::from(points) * u64::from(REPLICATES) * 2 > options.paths_max
+                    || replicates.iter().map(|r| r.collisions).sum::<u64>() * 2 > options.collisions_max
                 {
                     break;
                 }
@@ -233,6 +243,7 @@ impl World<'_> {
         let mut direction = self.direction;
         let (mut pieces, mut cumulative) = (Vec::new(), Vec::new());
         for collision in 0..COLLISIONS_MAX {
+            replicate.collisions += 1;
             let dimension = DIMENSIONS * collision;
             self.aim(place, direction, weight, point, dimension, &mut pieces, replicate);
             let cosine = self.body.phase.sample(point.coordinate(dimension + 1));
