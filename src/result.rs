@@ -109,6 +109,25 @@ pub fn write(
     Ok(words(&summary, &map, judged.as_ref(), config))
 }
 
+/// The map as far as it is known, in words; `None` before two levels have cycles. The same fit over the same records
+/// as the final one.
+pub fn provisional(reduced: &Reduced, config: &Config, calibrated: &Calibrated) -> Option<String> {
+    let Total::Map(sums) = &reduced.total else { return None };
+    if !fitting::can_fit(sums) {
+        return None;
+    }
+    let estimator = fitting::estimator(&config.fit.estimator).unwrap_or(Estimator::Default);
+    let inputs =
+        fitting::inputs(&reduced.levels, config, &calibrated.calibration, &calibrated.flat, estimator);
+    let (pixels, temperature, sigma) = over_spray(&map::solve(sums, &inputs), config.emissivity_min());
+    (pixels > 0).then(|| {
+        format!(
+            "so far {pixels} pixels with emissivity above {}: median {temperature:.2} K, median σ {sigma:.2} K",
+            config.emissivity_min()
+        )
+    })
+}
+
 /// The map held against the truth.
 struct Judged {
     truth: StatisticalTruth,

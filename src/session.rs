@@ -2,7 +2,9 @@
 
 use crate::archive::Archive;
 use crate::calibrate::{self, CalibrateError, Calibrated, Calibration};
-use crate::campaign::{CampaignError, Ended, Engine, Outcome, RecordError, Recorder, StopFlag, header};
+use crate::campaign::{
+    CampaignError, Ended, Engine, Outcome, Progress, RecordError, Recorder, StopFlag, header,
+};
 use crate::clock::Clock;
 use crate::config::{Config, ConfigError};
 use crate::console::Console;
@@ -153,7 +155,7 @@ fn begin(setting: &Setting<'_>, folder: &RunFolder) -> Result<String, SessionErr
     let prepared = prepare(setting, View::Chamber)?;
     let mut recorder = recorder(setting, folder, reduced)?;
     let start = header(&plan, setting.utc(), sha256(setting.source.text.as_bytes()));
-    let engine = campaign(setting, &plan, &prepared, &mut recorder, Some(start), "campaign")?;
+    let engine = campaign(setting, &plan, &prepared, &mut recorder, Some(start), Some(&calibrated))?;
     finish(setting, folder, &prepared, recorder.reduced(), &calibrated, &engine)
 }
 
@@ -185,7 +187,7 @@ pub fn resume(root: &Path, clock: Clock, stop: StopFlag) -> Result<String, Sessi
         resumed: true,
     };
     let prepared = prepare(&setting, View::Chamber)?.beginning_at(begins);
-    let engine = campaign(&setting, &plan, &prepared, &mut recorder, None, "campaign")?;
+    let engine = campaign(&setting, &plan, &prepared, &mut recorder, None, Some(&calibrated))?;
     finish(&setting, &folder, &prepared, recorder.reduced(), &calibrated, &engine)
 }
 
@@ -205,7 +207,7 @@ pub fn calibrate(setting: &Setting<'_>, out: &Path) -> Result<Calibrated, Sessio
     let prepared = prepare(setting, View::Bench)?;
     let mut recorder = recorder(setting, &folder, reduced)?;
     let start = header(&plan, setting.utc(), sha256(setting.source.text.as_bytes()));
-    campaign(setting, &plan, &prepared, &mut recorder, Some(start), "calibration")?;
+    campaign(setting, &plan, &prepared, &mut recorder, Some(start), None)?;
     let calibrated = calibration_of(recorder.reduced(), setting.config, &setting.utc())?;
     store_calibration(&folder, &folder.root().join("calibration.json"), &calibrated, setting.config)?;
     Ok(calibrated)
@@ -422,9 +424,10 @@ fn campaign(
     prepared: &Prepared,
     recorder: &mut Recorder,
     start: Option<Record>,
-    title: &str,
+    calibrated: Option<&Calibrated>,
 ) -> Result<Virtual, SessionError> {
-    let mut console = Console::new(title);
+    let title = if calibrated.is_some() { "campaign" } else { "calibration" };
+    let mut live = Live { console: Console::new(title), config: setting.config, calibrated };
     let runtime = prepared.runtime().map_err(SessionError::Other)?;
     let (outcome, elapsed_s) = runtime.block_on(async {
         let mut opened = prepared.open().await?;
@@ -434,7 +437,7 @@ fn campaign(
             plan,
             instruments: &mut opened.instruments,
             recorder,
-            progress: &mut console,
+            progress: &mut live,
             stop: setting.stop.clone(),
             started,
             elapsed_before_ns: prepared.beginning().elapsed_ns,
@@ -444,7 +447,7 @@ fn campaign(
         let outcome = Box::pin(engine.run(start)).await;
         Ok::<_, OpenError>((outcome, started.elapsed().as_secs_f64()))
     })?;
-    console.finish();
+    live.console.finish();
     prepared.keep_surface(recorder.folder())?;
     let Outcome { ended, unsafe_because, .. } = outcome;
     match ended {
@@ -453,6 +456,36 @@ fn campaign(
         Ok(_) if !unsafe_because.is_empty() => Err(SessionError::Unsafe(unsafe_because)),
         Ok(Ended::Paused) => Err(SessionError::Paused(recorder.folder().to_owned())),
         Ok(Ended::Done) => Ok(Virtual { seconds: elapsed_s }),
+    }
+}
+
+/// The console, and after every level the map as far as it is known.
+struct Live<'a> {
+    console: Console,
+    config: &'a Config,
+    calibrated: Option<&'a Calibrated>,
+}
+
+impl Progress for Live<'_> {
+    fn cycle(&mut self, done: u32, planned: u32, eta_s: f64) {
+        self.console.cycle(done, planned, eta_s);
+    }
+
+    fn waiting(&mut self, reason: &str, eta_s: Option<f64>) {
+        self.console.waiting(reason, eta_s);
+    }
+
+    fn note(&mut self, text: &str) {
+        self.console.note(text);
+    }
+
+    fn level_done(&mut self, recorder: &Recorder) {
+        self.console.level_done(recorder);
+        if let Some(calibrated) = self.calibrated
+            && let Some(words) = result::provisional(recorder.reduced(), self.config, calibrated)
+        {
+            self.console.line(&words);
+        }
     }
 }
 
