@@ -31,8 +31,9 @@ const NOT_ZERO: f64 = 1e-40;
 /// max(x, |m| x).
 ///
 /// ```
-/// // Bohren and Huffman (1983), appendix A: x = 5.21282, m = 1.55.
-/// let q = ditd_sim::light::mie::efficiencies(5.21282, 1.55, 0.0)?;
+/// // Bohren and Huffman (1983), appendix A: a radius of 0.525 µm at 0.6328 µm (x = 5.21282), m = 1.55.
+/// let x = std::f64::consts::TAU * 0.525 / 0.6328;
+/// let q = ditd_sim::light::mie::efficiencies(x, 1.55, 0.0)?;
 /// assert!((q.q_ext - 3.10543).abs() < 5e-6);
 /// # Ok::<(), ditd_sim::light::mie::MieError>(())
 /// ```
