@@ -9,15 +9,23 @@
 //! - [`lognormal`]: means over a lognormal size distribution.
 
 mod amplitudes;
+mod climb;
 mod cumulative;
-mod lanes;
+mod descent;
+mod double;
+mod factors;
+mod kernel;
 mod polydisperse;
+mod precise;
 mod series;
+mod sums;
+mod trig;
+mod vector;
 
 pub use amplitudes::{Direction, amplitudes, amplitudes_towards, phase};
 pub use cumulative::cumulative;
 pub use polydisperse::{Lognormal, Polydisperse, lognormal};
-pub use series::{efficiencies, efficiencies_of_many};
+pub use series::{efficiencies, efficiencies_of_many, efficiencies_refined};
 
 /// What a sphere does to light, per geometric cross-section πr², and where the scattered light goes.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

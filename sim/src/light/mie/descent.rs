@@ -1,0 +1,79 @@
+//! The way down: ratios of neighbouring Riccati–Bessel functions, from beyond |m| x to order 0.
+
+use super::kernel::Spheres;
+use super::vector::{Complexes, Vector};
+use pulp::Simd;
+
+/// r_n(x), r_n(z) of one order.
+#[derive(Clone, Copy)]
+pub(super) struct Ratios<T> {
+    pub(super) outside: T,
+    pub(super) inside: Complexes<T>,
+}
+
+/// The way down: ratios and their difference at one order.
+#[derive(Clone, Copy)]
+pub(super) struct Descent<S: Simd> {
+    x_inverse: S::f64s,
+    z_inverse: Complexes<S::f64s>,
+    /// (1 − m)/(m x).
+    contrast: Complexes<S::f64s>,
+    start: S::f64s,
+    pub(super) ratios: Ratios<S::f64s>,
+    pub(super) difference: Complexes<S::f64s>,
+}
+
+impl<S: Simd> Descent<S> {
+    #[inline(always)]
+    pub(super) fn new<const FUSED: bool>(on: Vector<S, FUSED>, spheres: &Spheres<S>) -> Self {
+        let z_inverse = spheres.m_inverse.scaled(on, spheres.x_inverse);
+        let one_less_m = spheres.m.one_minus(on);
+        let odd = on.mul_add(spheres.start, on.all(2.0), on.all(3.0));
+        let first = on.div(spheres.x, odd);
+        Self {
+            x_inverse: spheres.x_inverse,
+            z_inverse,
+            contrast: one_less_m.times(on, z_inverse),
+            start: spheres.start,
+            ratios: Ratios { outside: first, inside: spheres.m.scaled(on, first) },
+            difference: one_less_m.scaled(on, first),
+        }
+    }
+
+    /// From order n to n − 1. `WAITING`: only where the recurrence has begun.
+    #[inline(always)]
+    pub(super) fn step<const FUSED: bool, const NEAR: bool, const WAITING: bool>(
+        self,
+        on: Vector<S, FUSED>,
+        n: usize,
+    ) -> Self {
+        let odd = on.all(2.0 * n as f64 + 1.0);
+        let Ratios { outside, inside } = self.ratios;
+        let t = on.mul_sub(odd, self.x_inverse, outside);
+        let z = Complexes {
+            re: on.mul_sub(odd, self.z_inverse.re, inside.re),
+            im: on.mul_sub(odd, self.z_inverse.im, inside.im),
+        };
+        // One division for both reciprocals.
+        let square = z.norm_sqr(on);
+        let inverse = on.div(on.all(1.0), on.mul(t, square));
+        let below = on.mul(square, inverse);
+        let next = z.conj(on).scaled(on, t).scaled(on, inverse);
+        let mut ratios = Ratios { outside: below, inside: next };
+        let mut difference = self.difference;
+        if NEAR {
+            let sum = Complexes {
+                re: on.mul_add(odd, self.contrast.re, difference.re),
+                im: on.mul_add(odd, self.contrast.im, difference.im),
+            };
+            difference = sum.times(on, next.scaled(on, below));
+        }
+        if WAITING {
+            let begun = on.at_most(on.all(n as f64), self.start);
+            ratios.outside = on.select(begun, ratios.outside, outside);
+            ratios.inside = ratios.inside.or(on, begun, inside);
+            difference = difference.or(on, begun, self.difference);
+        }
+        Self { ratios, difference, ..self }
+    }
+}

@@ -1,0 +1,256 @@
+//! The Mie series of several spheres at once: ratios downward, coefficients upward.
+//!
+//! Notation: ψ_n, χ_n Riccati–Bessel functions of x (ξ = ψ − iχ), r_n(z) = ψ_{n+1}(z)/ψ_n(z), z = m x,
+//! u_a = (n+1)(1/m² − 1)/x − r_n(z)/m, u_b = −m r_n(z). With u = p + iq a coefficient is N/(N − iM) with
+//! N = ψ_{n+1} + ψ_n u and M = χ_{n+1} + χ_n u. What keeps every digit:
+//!
+//! 1. r_n by downward recurrence, r_{n−1} = 1/((2n+1)/z − r_n). It maps the upper half-plane into itself, so Im r
+//!    keeps its relative accuracy however weak the absorption.
+//! 2. For m → 1 the real part of N from D_n = r_n(x) − r_n(z), which has a recurrence of its own,
+//!    D_{n−1} = ((2n+1)(1−m)/(m x) + D_n) r_{n−1}(x) r_{n−1}(z), a sum of equal signs.
+//! 3. With the Wronskian ψ_nχ_{n+1} − ψ_{n+1}χ_n = 1 the denominator is |N|² + |M|² − 2q, and
+//!    Re a − |a|² = −q/|N − iM|²: sums of positive terms (q ≤ 0), so that no cross-section is ever a difference.
+//!
+//! Ratios instead of logarithmic derivatives: Du, Appl. Opt. 43, 1951 (2004).
+//!
+//! Limit: upward 60 products and a division an order, downward 11 and a division a step, of which there are |m|
+//! times as many. With 8 numbers a vector, one such operation a cycle and 9 cycles a division: 11 cycles an order and
+//! sphere (measured on a quiet core: 65 cycles a vector upward, 21 downward).
+
+use super::Sphere;
+use super::climb::Climb;
+use super::descent::{Descent, Ratios};
+use super::factors::{FACTORS, Factors, TABLE};
+use super::series::{SIZE_MIN, cube_root, integer, series_length};
+use super::sums::{Adding, Sink, Sums};
+use super::vector::{Complexes, Vector};
+use pulp::Simd;
+
+/// Spheres of one batch.
+pub(super) const BATCH: usize = 16;
+/// What a sphere of a batch is, and how far its recurrences go.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Lane {
+    pub(super) sphere: Sphere,
+    /// Last order, 0 when there is no sphere (x = 0).
+    pub(super) last: f64,
+    /// Order at which the downward recurrence starts.
+    pub(super) start: f64,
+}
+
+impl Lane {
+    #[inline(always)]
+    pub(super) fn new(sphere: Sphere) -> Self {
+        let x = sphere.size_parameter.max(SIZE_MIN);
+        let last = series_length(x);
+        let square = sphere.n * sphere.n + sphere.k * sphere.k;
+        let z = x * square.sqrt().max(1.0);
+        // Past |z| until the start is forgotten, and a little past the last order: for small spheres the recurrence
+        // forgets three digits a step there, and the last terms need few.
+        let start = (z + 8.0 * cube_root(z) + 8.0).max(last + 4.0).floor();
+        Self { sphere, last: if sphere.size_parameter > 0.0 { last } else { 0.0 }, start }
+    }
+}
+
+/// Workspace that is used again for every batch.
+pub(super) struct Workspace<S: Simd, const V: usize> {
+    ratios: Vec<[Ratios<S::f64s>; V]>,
+    /// Re D_n.
+    differences: Vec<[S::f64s; V]>,
+    /// For series that are longer than [`TABLE`].
+    factors: Factors,
+}
+
+impl<S: Simd, const V: usize> Workspace<S, V> {
+    pub(super) fn new() -> Self {
+        Self { ratios: Vec::new(), differences: Vec::new(), factors: Factors::default() }
+    }
+
+    #[inline(always)]
+    fn factors(&self) -> &Factors {
+        if self.ratios.len() <= TABLE { &FACTORS } else { &self.factors }
+    }
+}
+
+/// One vector of spheres with the constants of their recurrences.
+#[derive(Clone, Copy)]
+pub(super) struct Spheres<S: Simd> {
+    pub(super) x: S::f64s,
+    pub(super) x_inverse: S::f64s,
+    pub(super) m: Complexes<S::f64s>,
+    pub(super) m_inverse: Complexes<S::f64s>,
+    /// 1/|m|².
+    pub(super) square_inverse: S::f64s,
+    pub(super) last: S::f64s,
+    pub(super) start: S::f64s,
+    /// First and last order at which a series ends.
+    ends: (usize, usize),
+}
+
+impl<S: Simd> Spheres<S> {
+    #[inline(always)]
+    fn new<const FUSED: bool>(on: Vector<S, FUSED>, lanes: &[Lane]) -> Self {
+        let mut columns = [[0.0; BATCH]; 5];
+        let mut ends = (usize::MAX, 0);
+        for (i, lane) in lanes.iter().enumerate() {
+            columns[0][i] = lane.sphere.size_parameter.max(SIZE_MIN);
+            columns[1][i] = lane.sphere.n;
+            columns[2][i] = lane.sphere.k;
+            columns[3][i] = lane.last;
+            columns[4][i] = lane.start;
+            let last = integer(lane.last);
+            ends = (ends.0.min(last), ends.1.max(last));
+        }
+        let x = on.load(&columns[0]);
+        let m = Complexes { re: on.load(&columns[1]), im: on.load(&columns[2]) };
+        let one = on.all(1.0);
+        let square_inverse = on.div(one, m.norm_sqr(on));
+        Self {
+            x,
+            x_inverse: on.div(one, x),
+            m,
+            m_inverse: m.conj(on).scaled(on, square_inverse),
+            square_inverse,
+            last: on.load(&columns[3]),
+            start: on.load(&columns[4]),
+            ends,
+        }
+    }
+}
+
+/// `V` vectors of spheres.
+pub(super) struct Batch<S: Simd, const FUSED: bool, const V: usize> {
+    on: Vector<S, FUSED>,
+    spheres: [Spheres<S>; V],
+    /// First and last order at which a downward recurrence starts.
+    starts: (usize, usize),
+}
+
+impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
+    /// As many spheres as `V` vectors hold.
+    #[inline(always)]
+    pub(super) fn new(simd: S, lanes: &[Lane]) -> Self {
+        let on = Vector(simd);
+        let width = S::F64_LANES;
+        let mut spheres = [Spheres::new(on, &lanes[..width]); V];
+        for (v, spheres) in spheres.iter_mut().enumerate().skip(1) {
+            *spheres = Spheres::new(on, &lanes[v * width..(v + 1) * width]);
+        }
+        let mut starts = (usize::MAX, 0);
+        for lane in lanes {
+            let start = integer(lane.start);
+            starts = (starts.0.min(start), starts.1.max(start));
+        }
+        Self { on, spheres, starts }
+    }
+
+    /// Last order of the longest series.
+    #[inline(always)]
+    pub(super) fn orders(&self) -> usize {
+        let mut longest = 0;
+        for spheres in &self.spheres {
+            longest = longest.max(spheres.ends.1);
+        }
+        longest
+    }
+
+    /// r_n(x), r_n(z) for n = 0 … `orders`; with `NEAR` also Re D_n.
+    #[inline(always)]
+    #[expect(
+        clippy::needless_range_loop,
+        reason = "counted loops over V unroll, so that the vectors stay in registers"
+    )]
+    pub(super) fn descend<const NEAR: bool>(&self, workspace: &mut Workspace<S, V>) {
+        let on = self.on;
+        let orders = self.orders();
+        let nothing = on.all(0.0);
+        if workspace.ratios.len() <= orders {
+            let none = Ratios { outside: nothing, inside: Complexes { re: nothing, im: nothing } };
+            workspace.ratios.resize(orders + 1, [none; V]);
+            if orders + 1 > TABLE {
+                workspace.factors.reach(orders + 1);
+            }
+        }
+        if NEAR && workspace.differences.len() <= orders {
+            workspace.differences.resize(orders + 1, [nothing; V]);
+        }
+        let mut descents = [Descent::<S>::new(on, &self.spheres[0]); V];
+        for v in 1..V {
+            descents[v] = Descent::new(on, &self.spheres[v]);
+        }
+        // Each recurrence starts at its own order, so that a sphere has the same bits in any company.
+        for n in (self.starts.0 + 1..=self.starts.1).rev() {
+            for v in 0..V {
+                descents[v] = descents[v].step::<FUSED, NEAR, true>(on, n);
+                if n <= orders + 1 {
+                    workspace.ratios[n - 1][v] = descents[v].ratios;
+                    if NEAR {
+                        workspace.differences[n - 1][v] = descents[v].difference.re;
+                    }
+                }
+            }
+        }
+        let beyond = self.starts.0.min(orders + 1);
+        for n in (beyond + 1..=self.starts.0).rev() {
+            for v in 0..V {
+                descents[v] = descents[v].step::<FUSED, NEAR, false>(on, n);
+            }
+        }
+        for n in (1..=beyond).rev() {
+            for v in 0..V {
+                descents[v] = descents[v].step::<FUSED, NEAR, false>(on, n);
+                workspace.ratios[n - 1][v] = descents[v].ratios;
+                if NEAR {
+                    workspace.differences[n - 1][v] = descents[v].difference.re;
+                }
+            }
+        }
+    }
+
+    /// Coefficients of vector `v` for n = 1, 2 … in turn; zeros for spheres whose series has ended.
+    #[inline(always)]
+    pub(super) fn climb<const NEAR: bool>(
+        &self,
+        workspace: &Workspace<S, V>,
+        v: usize,
+        sink: &mut impl Sink<S::f64s>,
+    ) {
+        let on = self.on;
+        let spheres = &self.spheres[v];
+        let mut climb = Climb::new(on, spheres, workspace.ratios[0][v].outside);
+        let table = workspace.factors();
+        for n in 1..=spheres.ends.0 {
+            let factor = table.at(n);
+            let difference = if NEAR { workspace.differences[n][v] } else { climb.psi };
+            let ratios = workspace.ratios[n][v];
+            sink.take(factor, climb.step::<FUSED, NEAR, false>(on, factor, ratios, difference));
+        }
+        for n in spheres.ends.0 + 1..=spheres.ends.1 {
+            let factor = table.at(n);
+            let difference = if NEAR { workspace.differences[n][v] } else { climb.psi };
+            let ratios = workspace.ratios[n][v];
+            sink.take(factor, climb.step::<FUSED, NEAR, true>(on, factor, ratios, difference));
+        }
+    }
+
+    /// Sums that are still empty.
+    #[inline(always)]
+    pub(super) fn adding<const WATCH: bool>(&self) -> Adding<S, FUSED, WATCH> {
+        Adding::new(self.on)
+    }
+
+    /// Sums over the series of every sphere; with `WATCH` their strain too.
+    #[inline(always)]
+    pub(super) fn sums<const NEAR: bool, const WATCH: bool>(
+        &self,
+        workspace: &mut Workspace<S, V>,
+        sums: &mut [Sums],
+    ) {
+        self.descend::<NEAR>(workspace);
+        for v in 0..V {
+            let mut adding = self.adding::<WATCH>();
+            self.climb::<NEAR>(workspace, v, &mut adding);
+            adding.finish(&mut sums[v * S::F64_LANES..(v + 1) * S::F64_LANES]);
+        }
+    }
+}
