@@ -1,8 +1,13 @@
 //! Amplitudes S₁, S₂ and the phase function of one sphere.
 
-use super::series::{coefficients, efficiencies};
+use super::angular::{Amplitudes, Angles, Coefficients};
+use super::factors::Factors;
+use super::kernel::BATCH;
+use super::series::{coefficients, efficiencies, fused};
+use super::vector::Vector;
 use super::{MieError, Sphere};
 use crate::light::complex::Complex;
+use pulp::Simd;
 
 /// A scattering direction, kept as 1 − |cos θ| so that angles near 0° and 180° lose nothing.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -105,7 +110,7 @@ pub fn amplitudes_towards(
     directions: &[Direction],
 ) -> Result<Vec<(Complex, Complex)>, MieError> {
     let terms = Terms::new(sphere.checked()?);
-    Ok(directions.iter().map(|&direction| terms.towards(direction)).collect())
+    Ok(terms.towards(directions))
 }
 
 /// Phase function p₁₁ = 2 (|S₁|² + |S₂|²) / (x² Q_sca) for unpolarised light: ½∫p₁₁ dμ = 1.
@@ -122,21 +127,9 @@ pub fn phase(sphere: Sphere, directions: &[Direction]) -> Result<Vec<f64>, MieEr
     Ok(amplitudes.into_iter().map(|(s1, s2)| norm * (s1.norm_sqr() + s2.norm_sqr())).collect())
 }
 
-/// The coefficients of one sphere with the factors of the angular recurrence, for many directions.
+/// The coefficients of one sphere, for many directions: Re a, Im a, Re b, Im b, each times (2n+1)/(n(n+1)).
 pub(super) struct Terms {
-    terms: Vec<Term>,
-}
-
-/// One order, split into the half that is even under θ → π − θ and the half that is odd.
-struct Term {
-    a: Complex,
-    b: Complex,
-    /// (n + 1) / n.
-    growth: f64,
-    /// (2n + 1) / n.
-    bend: f64,
-    /// n + 1.
-    above: f64,
+    terms: Vec<[f64; 4]>,
 }
 
 impl Terms {
@@ -147,40 +140,34 @@ impl Terms {
             .map(|((a, b), n)| {
                 let n = f64::from(n);
                 let weight = (2.0 * n + 1.0) / (n * (n + 1.0));
-                Term {
-                    a: a * weight,
-                    b: b * weight,
-                    growth: (n + 1.0) / n,
-                    bend: (2.0 * n + 1.0) / n,
-                    above: n + 1.0,
-                }
+                [a.re * weight, a.im * weight, b.re * weight, b.im * weight]
             })
             .collect();
         Self { terms }
     }
 
-    /// (S₁, S₂).
+    /// (S₁, S₂) towards each direction.
     ///
-    /// The angular functions are stepped by their differences (after Reinsch):
-    /// δ_n = π_{n+1} − π_n = (n+1)/n δ_{n−1} − (2n+1)/n v π_n with v = 1 − |μ|, and
-    /// τ_n = (n+1) δ_{n−1} − π_n − n v π_n: near the axis nothing cancels. Directions beyond 90° by parity:
-    /// π_n(−μ) = (−1)^{n+1} π_n(μ), τ_n(−μ) = (−1)^n τ_n(μ).
-    pub(super) fn towards(&self, direction: Direction) -> (Complex, Complex) {
-        let v = direction.versine;
-        let (mut s1, mut s2) = (Complex::default(), Complex::default());
-        let (mut pi, mut delta) = (1.0, 1.0);
-        let mut sign = 1.0;
-        for term in &self.terms {
-            let tau = term.above * delta - pi - (term.above - 1.0) * v * pi;
-            let (signed_pi, signed_tau) =
-                if direction.backward { (sign * pi, -sign * tau) } else { (pi, tau) };
-            s1 = s1 + term.a * signed_pi + term.b * signed_tau;
-            s2 = s2 + term.b * signed_pi + term.a * signed_tau;
-            delta = term.growth * delta - term.bend * v * pi;
-            pi += delta;
-            sign = -sign;
+    /// Every direction is computed with its mirror image; where the list is its own mirror image, as angles in equal
+    /// steps from 0° to 180° are, half of it is enough.
+    pub(super) fn towards(&self, directions: &[Direction]) -> Vec<(Complex, Complex)> {
+        let mirrored =
+            directions.iter().zip(directions.iter().rev()).take(directions.len() / 2).all(|(one, other)| {
+                one.versine.to_bits() == other.versine.to_bits() && one.backward != other.backward
+            });
+        let half = if mirrored { directions.len().div_ceil(2) } else { directions.len() };
+        let versines: Vec<f64> = directions[..half].iter().map(|direction| direction.versine).collect();
+        let pairs = pulp::Arch::new().dispatch(Towards { terms: &self.terms, versines: &versines });
+        let mut found: Vec<(Complex, Complex)> = pairs
+            .iter()
+            .zip(directions)
+            .map(|(pair, direction)| if direction.backward { pair.behind() } else { pair.ahead() })
+            .collect();
+        for (pair, direction) in pairs.iter().rev().skip(2 * half - directions.len()).zip(&directions[half..])
+        {
+            found.push(if direction.backward { pair.behind() } else { pair.ahead() });
         }
-        (s1, s2)
+        found
     }
 
     /// Number of orders.
@@ -189,6 +176,108 @@ impl Terms {
     }
 }
 
+/// The amplitudes at an angle and its mirror image: S₁ = U₁ ± V₁, S₂ = U₂ ± V₂.
+#[derive(Debug, Clone, Copy, Default)]
+struct Pair {
+    u1: Complex,
+    v1: Complex,
+    u2: Complex,
+    v2: Complex,
+}
+
+impl Pair {
+    fn ahead(&self) -> (Complex, Complex) {
+        (self.u1 + self.v1, self.u2 + self.v2)
+    }
+
+    fn behind(&self) -> (Complex, Complex) {
+        (self.u1 - self.v1, self.u2 - self.v2)
+    }
+}
+
+/// Terms and 1 − μ of directions with μ ≥ 0.
+struct Towards<'a> {
+    terms: &'a [[f64; 4]],
+    versines: &'a [f64],
+}
+
+impl pulp::WithSimd for Towards<'_> {
+    type Output = Vec<Pair>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Vec<Pair> {
+        if fused::<S>() { self.run::<S, true>(simd) } else { self.run::<S, false>(simd) }
+    }
+}
+
+impl Towards<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const FUSED: bool>(&self, simd: S) -> Vec<Pair> {
+        /// Vectors side by side: one alone waits for itself.
+        const SIDE: usize = 2;
+        let on = Vector::<S, FUSED>(simd);
+        let width = S::F64_LANES;
+        let table = Factors::reaching(self.terms.len() + 1);
+        let mut found = vec![Pair::default(); self.versines.len()];
+        for (versines, found) in self.versines.chunks(SIDE * width).zip(found.chunks_mut(SIDE * width)) {
+            let mut padded = [[0.0; BATCH]; SIDE];
+            for (padded, versines) in padded.iter_mut().zip(versines.chunks(width)) {
+                padded[..versines.len()].copy_from_slice(versines);
+            }
+            if versines.len() > width {
+                self.pairs::<S, FUSED, SIDE>(on, &table, &padded, found);
+            } else {
+                self.pairs::<S, FUSED, 1>(on, &table, &padded, found);
+            }
+        }
+        found
+    }
+
+    #[inline(always)]
+    fn pairs<S: Simd, const FUSED: bool, const SIDE: usize>(
+        &self,
+        on: Vector<S, FUSED>,
+        table: &Factors,
+        versines: &[[f64; BATCH]; 2],
+        found: &mut [Pair],
+    ) {
+        let width = S::F64_LANES;
+        let mut sums = [Amplitudes::<S>::nothing(on); SIDE];
+        let mut angles = [Angles::<S>::new(on, on.load(&versines[0])); SIDE];
+        for s in 1..SIDE {
+            angles[s] = Angles::new(on, on.load(&versines[s]));
+        }
+        let mut n = 1;
+        while n <= self.terms.len() {
+            let factor = table.at(n);
+            let term = Coefficients::of(on, self.terms[n - 1]);
+            for s in 0..SIDE {
+                let (pi, tau) = angles[s].step(on, factor);
+                sums[s] = sums[s].with_odd(on, &term, pi, tau);
+            }
+            n += 1;
+            if n > self.terms.len() {
+                break;
+            }
+            let factor = table.at(n);
+            let term = Coefficients::of(on, self.terms[n - 1]);
+            for s in 0..SIDE {
+                let (pi, tau) = angles[s].step(on, factor);
+                sums[s] = sums[s].with_even(on, &term, pi, tau);
+            }
+            n += 1;
+        }
+        for (sums, found) in sums.iter().zip(found.chunks_mut(width)) {
+            let store = |part: [S::f64s; 2]| (on.store(part[0]), on.store(part[1]));
+            let parts = [store(sums.u1), store(sums.v1), store(sums.u2), store(sums.v2)];
+            for (i, found) in found.iter_mut().enumerate() {
+                let [u1, v1, u2, v2] =
+                    [0, 1, 2, 3].map(|p: usize| Complex::new(parts[p].0[i], parts[p].1[i]));
+                *found = Pair { u1, v1, u2, v2 };
+            }
+        }
+    }
+}
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -244,6 +333,21 @@ mod tests {
         assert!(matches!(Direction::from_degrees(f64::NAN), Err(MieError::Angle(_))));
         assert!(matches!(Direction::from_radians(-0.1), Err(MieError::Angle(_))));
         assert!(amplitudes(1.0, 1.4, 0.1, &[0.0, 2.0]).is_err());
+    }
+
+    #[test]
+    fn a_list_that_is_its_own_mirror_image_gives_what_each_direction_gives() {
+        let sphere = Sphere { size_parameter: 12.3, n: 1.4, k: 1e-3 };
+        let all: Vec<Direction> =
+            (0..=180).map(|degrees| Direction::from_degrees(f64::from(degrees)).unwrap()).collect();
+        // Whole, with an even number of directions, and back to front; against one at a time.
+        let even: Vec<Direction> = all.iter().copied().filter(|d| d.cosine().abs() > 1e-3).collect();
+        let back: Vec<Direction> = all.iter().rev().copied().collect();
+        for list in [&all, &even, &back] {
+            for (direction, found) in list.iter().zip(amplitudes_towards(sphere, list).unwrap()) {
+                assert_eq!(found, amplitudes_towards(sphere, &[*direction]).unwrap()[0], "{direction:?}");
+            }
+        }
     }
 
     #[test]

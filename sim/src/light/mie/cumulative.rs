@@ -31,12 +31,12 @@ pub fn cumulative(sphere: Sphere, directions: &[Direction]) -> Result<Vec<f64>, 
         .iter()
         .map(|direction| {
             let end = direction.versine();
+            let towards: Vec<Direction> =
+                rule.iter().map(|&(node, _)| Direction::from_versine(end * node)).collect();
             let sum: f64 = rule
                 .iter()
-                .map(|&(node, weight)| {
-                    let (s1, s2) = terms.towards(Direction::from_versine(end * node));
-                    weight * (s1.norm_sqr() + s2.norm_sqr())
-                })
+                .zip(terms.towards(&towards))
+                .map(|(&(_, weight), (s1, s2))| weight * (s1.norm_sqr() + s2.norm_sqr()))
                 .sum();
             norm * end * sum
         })

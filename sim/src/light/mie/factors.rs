@@ -1,5 +1,6 @@
 //! Numbers that belong to an order of the series: they are read, not computed, beside the vectors.
 
+use std::borrow::Cow;
 use std::sync::LazyLock;
 
 /// Orders whose factors are always at hand.
@@ -13,8 +14,12 @@ pub(super) static FACTORS: LazyLock<Factors> = LazyLock::new(|| Factors::up_to(T
 pub(super) struct Factors {
     /// 2n + 1.
     odd: Vec<f64>,
+    /// n.
+    order: Vec<f64>,
     /// n + 1.
     above: Vec<f64>,
+    /// n(n + 1).
+    product: Vec<f64>,
     /// (2n+1)/(n(n+1)), of the sum of the mean cosine.
     across: Vec<f64>,
     /// (n−1)(n+1)/n, of the sum of the mean cosine.
@@ -30,12 +35,19 @@ impl Factors {
         factors
     }
 
+    /// The factors of at least `count` orders.
+    pub(super) fn reaching(count: usize) -> Cow<'static, Self> {
+        if count <= TABLE { Cow::Borrowed(&FACTORS) } else { Cow::Owned(Self::up_to(count)) }
+    }
+
     pub(super) fn reach(&mut self, count: usize) {
         for n in self.odd.len()..count {
             let order = n as f64;
             let odd = 2.0 * order + 1.0;
             self.odd.push(odd);
+            self.order.push(order);
             self.above.push(order + 1.0);
+            self.product.push(order * (order + 1.0));
             self.across.push(odd / (order * (order + 1.0)));
             self.along.push((order - 1.0) * (order + 1.0) / order);
             self.alternating.push(if n % 2 == 0 { odd } else { -odd });
@@ -47,7 +59,9 @@ impl Factors {
     pub(super) fn at(&self, n: usize) -> Factor {
         Factor {
             odd: self.odd[n],
+            order: self.order[n],
             above: self.above[n],
+            product: self.product[n],
             across: self.across[n],
             along: self.along[n],
             alternating: self.alternating[n],
@@ -59,7 +73,9 @@ impl Factors {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Factor {
     pub(super) odd: f64,
+    pub(super) order: f64,
     pub(super) above: f64,
+    pub(super) product: f64,
     pub(super) across: f64,
     pub(super) along: f64,
     pub(super) alternating: f64,

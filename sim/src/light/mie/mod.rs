@@ -5,16 +5,20 @@
 //!
 //! - [`efficiencies`], [`efficiencies_of_many`]: cross-sections over the geometric one, mean cosine, backscatter;
 //! - [`amplitudes`], [`phase`]: the angular pattern;
+//! - [`Pattern`]: the angular pattern of many spheres together;
 //! - [`cumulative`]: exact cumulative distribution over the scattering angle;
-//! - [`lognormal`]: means over a lognormal size distribution.
+//! - [`lognormal`], [`bulk`]: means and pattern over a lognormal size distribution.
 
 mod amplitudes;
+mod angular;
+mod bulk;
 mod climb;
 mod cumulative;
 mod descent;
 mod double;
 mod factors;
 mod kernel;
+mod pattern;
 mod polydisperse;
 mod precise;
 mod series;
@@ -23,7 +27,9 @@ mod trig;
 mod vector;
 
 pub use amplitudes::{Direction, amplitudes, amplitudes_towards, phase};
+pub use bulk::{Bulk, bulk};
 pub use cumulative::cumulative;
+pub use pattern::Pattern;
 pub use polydisperse::{Lognormal, Polydisperse, lognormal};
 pub use series::{efficiencies, efficiencies_of_many, efficiencies_refined};
 

@@ -14,6 +14,56 @@ pub struct Lognormal {
     pub sigma_ln: f64,
 }
 
+impl Lognormal {
+    /// 2πr/λ of the median.
+    pub(super) fn median_size_parameter(self, wavelength_um: f64) -> Result<f64, MieError> {
+        let Self { median_radius_um, sigma_ln } = self;
+        let known = median_radius_um > 0.0
+            && wavelength_um > 0.0
+            && (0.0..=3.0).contains(&sigma_ln)
+            && (median_radius_um / wavelength_um).is_finite();
+        if known {
+            Ok(2.0 * PI * median_radius_um / wavelength_um)
+        } else {
+            Err(MieError::Distribution { median_radius_um, sigma_ln, wavelength_um })
+        }
+    }
+
+    /// The trapezoid in ln r from −7σ to +9.5σ about the median: f r² peaks at 2σ².
+    pub(super) fn rule(self, x_median: f64) -> Rule {
+        Rule { x_median, sigma_ln: self.sigma_ln }
+    }
+}
+
+/// Nodes (x, weight) of a trapezoid whose intervals can be halved. Weights are f r², of any norm.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rule {
+    x_median: f64,
+    sigma_ln: f64,
+}
+
+impl Rule {
+    fn node(self, fraction: f64) -> (f64, f64) {
+        let at = -7.0 + 16.5 * fraction;
+        let from_peak = at - 2.0 * self.sigma_ln;
+        (self.x_median * (at * self.sigma_ln).exp(), (-0.5 * from_peak * from_peak).exp())
+    }
+
+    /// The nodes of so many intervals.
+    pub(super) fn first(self, intervals: usize) -> Vec<(f64, f64)> {
+        let ends = [0.0, 1.0].map(|fraction| {
+            let (x, weight) = self.node(fraction);
+            (x, 0.5 * weight)
+        });
+        (1..intervals).map(|i| self.node(i as f64 / intervals as f64)).chain(ends).collect()
+    }
+
+    /// The middles of so many intervals: with the nodes before them they are the rule of twice as many.
+    pub(super) fn between(self, intervals: usize) -> Vec<(f64, f64)> {
+        (0..intervals).map(|i| self.node((i as f64 + 0.5) / intervals as f64)).collect()
+    }
+}
+
 /// Means over a size distribution, weighted with the geometric cross-section.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Polydisperse {
@@ -41,7 +91,8 @@ const TASK: usize = 512;
 /// Means of efficiencies over `sizes` at one wavelength and index, to a relative error of `target`.
 ///
 /// Trapezoid in ln r from −7σ to +9.5σ, doubled until the means move by less than `target`; weak absorption
-/// (k < 1e-3) needs 1e5 radii for 1e-9, strong absorption 512. Stops at 2²⁰ radii with the error it has. Runs on
+/// (k < 1e-3) needs 1e5 radii for 1e-9, strong absorption 512. Sizes whose weight is below 1e-8 `target` of the
+/// heaviest are left out. Stops at 2²⁰ radii with the error it has. Runs on
 /// rayon's threads; the answer does not depend on their number.
 ///
 /// # Errors
@@ -54,39 +105,19 @@ pub fn lognormal(
     k: f64,
     target: f64,
 ) -> Result<Polydisperse, MieError> {
-    let Lognormal { median_radius_um, sigma_ln } = sizes;
-    let known = median_radius_um > 0.0
-        && wavelength_um > 0.0
-        && (0.0..=3.0).contains(&sigma_ln)
-        && (median_radius_um / wavelength_um).is_finite();
-    if !known {
-        return Err(MieError::Distribution { median_radius_um, sigma_ln, wavelength_um });
-    }
-    let x_median = 2.0 * PI * median_radius_um / wavelength_um;
-    if sigma_ln == 0.0 {
-        let sums = Sums::over(&[(x_median, 1.0)], n, k)?;
+    let x_median = sizes.median_size_parameter(wavelength_um)?;
+    if sizes.sigma_ln == 0.0 {
+        let sums = Sums::over(&[(x_median, 1.0)], n, k, 0.0)?;
         return Ok(sums.means(1, 0.0));
     }
-    let span = 16.5 * sigma_ln;
-    // In units of σ from the median: −7 … 9.5; the weight f r² peaks at 2σ.
-    let node = |fraction: f64| {
-        let at = -7.0 + 16.5 * fraction;
-        let from_peak = at - 2.0 * sigma_ln;
-        (x_median * (at * sigma_ln).exp(), (-0.5 * from_peak * from_peak).exp() * span)
-    };
-    let end_weighted = |fraction: f64| {
-        let (x, weight) = node(fraction);
-        (x, 0.5 * weight)
-    };
-    let inner = (1..RADII_FIRST).map(|i| node(i as f64 / RADII_FIRST as f64));
-    let first: Vec<(f64, f64)> = inner.chain([end_weighted(0.0), end_weighted(1.0)]).collect();
-    let mut total = Sums::over(&first, n, k)?;
+    // Q is at most a few units and at least ~x⁴: what weighs less than this counts for nothing.
+    let cut = (1e-8 * target).max(1e-18);
+    let rule = sizes.rule(x_median);
+    let mut total = Sums::over(&rule.first(RADII_FIRST), n, k, cut)?;
     let mut intervals = RADII_FIRST;
     let mut before = total.means(intervals, 1.0);
     loop {
-        let between: Vec<(f64, f64)> =
-            (0..intervals).map(|i| node((i as f64 + 0.5) / intervals as f64)).collect();
-        total = total.and(Sums::over(&between, n, k)?);
+        total = total.and(Sums::over(&rule.between(intervals), n, k, cut)?);
         intervals *= 2;
         let mut means = total.means(intervals, 1.0);
         means.error = means.change_from(&before);
@@ -107,11 +138,10 @@ struct Sums {
 }
 
 impl Sums {
-    /// Over nodes (x, weight); those that cannot change the 16th digit are skipped.
-    fn over(nodes: &[(f64, f64)], n: f64, k: f64) -> Result<Self, MieError> {
-        // Q is at most a few units and at least ~x⁴: a weight below 1e-18 of the peak counts for nothing.
+    /// Over nodes (x, weight); those below `cut` times the heaviest are skipped.
+    fn over(nodes: &[(f64, f64)], n: f64, k: f64, cut: f64) -> Result<Self, MieError> {
         let heaviest = nodes.iter().fold(0.0f64, |heaviest, node| heaviest.max(node.1));
-        let kept: Vec<&(f64, f64)> = nodes.iter().filter(|node| node.1 > 1e-18 * heaviest).collect();
+        let kept: Vec<&(f64, f64)> = nodes.iter().filter(|node| node.1 > cut * heaviest).collect();
         let parts = kept
             .par_chunks(TASK)
             .map(|chunk| {

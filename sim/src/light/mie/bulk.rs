@@ -1,0 +1,124 @@
+//! What a cloud of droplets needs at one wavelength: mean efficiencies, mean cosine, and the angular pattern.
+//!
+//! Both are sums over the size distribution, each with as many radii as its own error wants: absorption of weakly
+//! absorbing droplets needs thousands (ripple and whispering-gallery lines), the pattern a few hundred.
+
+use super::pattern::Pattern;
+use super::polydisperse::{Lognormal, Polydisperse, lognormal};
+use super::{MieError, Sphere};
+
+/// Intervals of ln r that the pattern starts with …
+const RADII_FIRST: usize = 64;
+/// … and ends with at the latest.
+const RADII_LAST: usize = 1 << 16;
+/// Angles at which two patterns are compared, dense about the forward direction.
+const COMPARED: usize = 48;
+
+/// Means and pattern of a size distribution at one wavelength.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Bulk {
+    /// Efficiencies and mean cosine, with their number of radii and their error.
+    pub means: Polydisperse,
+    /// The pattern, normalised so that ½∫ of it over cos θ is 1; empty when nothing scatters.
+    pub pattern: Pattern,
+    /// Intervals of ln r behind the pattern, of which those that weigh nothing are left out.
+    pub pattern_radii: usize,
+    /// Largest change of the pattern's cumulative distribution when that number was last doubled.
+    pub pattern_error: f64,
+}
+
+/// Mean efficiencies, mean cosine and pattern over `sizes` at one wavelength and index.
+///
+/// The means to a relative error of `target` as [`lognormal`], the cumulative distribution of the pattern to an
+/// absolute one, each judged by the last doubling of the number of radii. Runs on rayon's threads; the answer does
+/// not depend on their number.
+///
+/// # Errors
+///
+/// As [`lognormal`].
+pub fn bulk(sizes: Lognormal, wavelength_um: f64, n: f64, k: f64, target: f64) -> Result<Bulk, MieError> {
+    let means = lognormal(sizes, wavelength_um, n, k, target)?;
+    let x_median = sizes.median_size_parameter(wavelength_um)?;
+    let over = |nodes: &[(f64, f64)]| {
+        let heaviest = nodes.iter().fold(0.0f64, |heaviest, node| heaviest.max(node.1));
+        let kept = nodes.iter().filter(|node| node.1 > 1e-3 * target * heaviest);
+        // Number of droplets ∝ area/x².
+        let (spheres, numbers): (Vec<Sphere>, Vec<f64>) =
+            kept.map(|&(x, weight)| (Sphere { size_parameter: x, n, k }, weight / (x * x))).unzip();
+        Pattern::of(&spheres, &numbers).map_err(|(_, error)| error)
+    };
+    if sizes.sigma_ln == 0.0 {
+        let pattern = over(&[(x_median, 1.0)])?.normalised();
+        return Ok(Bulk { means, pattern, pattern_radii: 1, pattern_error: 0.0 });
+    }
+    let rule = sizes.rule(x_median);
+    let mut radii = RADII_FIRST;
+    let mut sum = over(&rule.first(radii))?;
+    let mut before = distribution(&sum);
+    loop {
+        sum = sum.and(&over(&rule.between(radii))?);
+        radii *= 2;
+        let now = distribution(&sum);
+        let error = now.iter().zip(&before).fold(0.0f64, |error, (a, b)| error.max((a - b).abs()));
+        if error <= target || radii >= RADII_LAST {
+            return Ok(Bulk { means, pattern: sum.normalised(), pattern_radii: radii, pattern_error: error });
+        }
+        before = now;
+    }
+}
+
+/// The cumulative distribution of a pattern at some angles; all 0 when nothing scatters.
+fn distribution(pattern: &Pattern) -> Vec<f64> {
+    let total = pattern.total();
+    (1..=COMPARED)
+        .map(|i| {
+            let u = i as f64 / COMPARED as f64;
+            // Steps grow as θ²: from 0.08° to 8°.
+            let within = pattern.within(std::f64::consts::PI * u * u);
+            if total > 0.0 { within / total } else { 0.0 }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Direction, cumulative};
+    use super::*;
+
+    #[test]
+    fn means_and_pattern_agree_with_each_other_at_every_absorption() {
+        for (n, k) in [(1.38, 0.09), (1.4, 2e-3), (1.38, 6e-4)] {
+            let sizes = Lognormal { median_radius_um: 5.0, sigma_ln: 0.4 };
+            let found = bulk(sizes, 3.4, n, k, 1e-4).unwrap();
+            println!(
+                "{n} {k}: {} and {} radii, {:e} and {:e}",
+                found.means.radii, found.pattern_radii, found.means.error, found.pattern_error
+            );
+            assert!(found.means.error <= 1e-4 && found.pattern_error <= 1e-4);
+            assert!((found.pattern.total() - 1.0).abs() < 1e-12);
+            // The mean cosine moves by at most 2 max|ΔCDF|.
+            assert!((found.pattern.mean_cosine() - found.means.asymmetry).abs() < 3e-4);
+            let fine = lognormal(sizes, 3.4, n, k, 1e-8).unwrap();
+            for (own, fine) in [
+                (found.means.q_ext, fine.q_ext),
+                (found.means.q_sca, fine.q_sca),
+                (found.means.q_abs, fine.q_abs),
+                (found.means.asymmetry, fine.asymmetry),
+            ] {
+                assert!((own / fine - 1.0).abs() < 1e-4, "{n} {k}: {own} {fine}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_size_has_the_distribution_of_its_sphere() {
+        let sizes = Lognormal { median_radius_um: 10.0, sigma_ln: 0.0 };
+        let found = bulk(sizes, 3.4, 1.38, 0.09, 1e-4).unwrap();
+        let sphere = Sphere { size_parameter: 2.0 * std::f64::consts::PI * 10.0 / 3.4, n: 1.38, k: 0.09 };
+        for degrees in [0.5, 2.0, 10.0, 60.0, 150.0, 180.0] {
+            let exact = cumulative(sphere, &[Direction::from_degrees(degrees).unwrap()]).unwrap()[0];
+            let own = found.pattern.within(f64::to_radians(degrees));
+            assert!((own - exact).abs() < 1e-8, "{degrees}: {own} {exact}");
+        }
+    }
+}
