@@ -11,7 +11,7 @@ use super::angular::{Amplitudes, Angles, Coefficients};
 use super::climb::Order;
 use super::factors::{Factor, Factors};
 use super::kernel::{BATCH, Batch, Lane, Workspace};
-use super::series::{by_size, near};
+use super::series::{by_size, fused, near};
 use super::sums::Sink;
 use super::vector::Vector;
 use super::{MieError, Sphere};
@@ -70,7 +70,7 @@ impl Pattern {
             while let Some((_, more)) = tasks.next_if(|(task, _)| task.0 == pairs) {
                 sum.add(&more);
             }
-            sum.add_series(&mut cosines);
+            sum.add_series(arch, &mut cosines);
         }
         Ok(Self { cosines })
     }
@@ -84,21 +84,24 @@ impl Pattern {
         self.cosines.first().map_or(0.0, |first| first + cosine * next - after)
     }
 
-    /// ½∫ of the series from θ = 0 to `theta_rad`, times sin θ.
-    pub fn within(&self, theta_rad: f64) -> f64 {
-        // ½∫cos kt sin t dt = ¼ [V_{k+1} − V_{k−1}], V_j = (1 − cos jθ)/j = 2 sin²(jθ/2)/j, V_0 = 0.
-        let share = |j: f64| {
-            let sine = (0.5 * j * theta_rad).sin();
-            if j == 0.0 { 0.0 } else { 2.0 * sine * sine / j }
-        };
-        let mut sum = 0.0;
-        let (mut below, mut here) = (share(-1.0), share(0.0));
-        for (k, c) in self.cosines.iter().enumerate() {
-            let above = share(k as f64 + 1.0);
-            sum += 0.25 * c * (above - below);
-            (below, here) = (here, above);
+    /// The series' ½∫ from θ = 0, times sin θ, as a cosine series itself: e_k with ½∫₀^θ = Σ e_k cos kθ.
+    ///
+    /// Absolute error below 1e-11 of [`Pattern::total`] when it is evaluated by a recurrence.
+    pub fn within(&self) -> Self {
+        // ½∫cos kt sin t dt = ¼ [(1 − cos (k+1)θ)/(k+1) − (1 − cos (k−1)θ)/(k−1)].
+        let c = |k: usize| self.cosines.get(k).copied().unwrap_or(0.0);
+        let mut cosines = vec![0.0; if self.cosines.is_empty() { 0 } else { self.cosines.len() + 1 }];
+        for k in (1..cosines.len()).rev() {
+            let below = if k == 1 { 2.0 * c(0) } else { c(k - 1) };
+            cosines[k] = (c(k + 1) - below) / (4.0 * k as f64);
+            cosines[0] -= cosines[k];
         }
-        sum
+        Self { cosines }
+    }
+
+    /// [`Pattern::at`] many cosines at once.
+    pub fn at_many(&self, cosines: &[f64]) -> Vec<f64> {
+        pulp::Arch::new().dispatch(Evaluation { series: &self.cosines, at: cosines })
     }
 
     /// Mean cosine of the series, taken as a phase function of any norm; 0 when nothing scatters.
@@ -136,6 +139,63 @@ impl Pattern {
     pub fn total(&self) -> f64 {
         // ½∫cos kθ sin θ dθ = 1/(1 − k²) for even k, 0 for odd k.
         self.cosines.iter().step_by(2).zip(0u32..).map(|(c, i)| c / (1.0 - 4.0 * f64::from(i * i))).sum()
+    }
+}
+
+/// Σ c_k cos kθ at many cos θ.
+struct Evaluation<'a> {
+    series: &'a [f64],
+    at: &'a [f64],
+}
+
+impl pulp::WithSimd for Evaluation<'_> {
+    type Output = Vec<f64>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Vec<f64> {
+        if fused::<S>() { self.run::<S, true>(simd) } else { self.run::<S, false>(simd) }
+    }
+}
+
+impl Evaluation<'_> {
+    /// Clenshaw's recurrence.
+    #[inline(always)]
+    #[expect(
+        clippy::needless_range_loop,
+        reason = "counted loops over WAYS unroll, so that vectors stay in registers"
+    )]
+    fn run<S: Simd, const FUSED: bool>(&self, simd: S) -> Vec<f64> {
+        /// Vectors of angles side by side.
+        const WAYS: usize = 4;
+        let on = Vector::<S, FUSED>(simd);
+        let width = S::F64_LANES;
+        let mut found = Vec::with_capacity(self.at.len());
+        let Some((&constant, rest)) = self.series.split_first() else { return vec![0.0; self.at.len()] };
+        for chunk in self.at.chunks(WAYS * width) {
+            let mut cosine = [on.all(0.0); WAYS];
+            let mut twice = cosine;
+            for (w, cosines) in chunk.chunks(width).enumerate() {
+                let mut numbers = [0.0; BATCH];
+                numbers[..cosines.len()].copy_from_slice(cosines);
+                cosine[w] = on.load(&numbers);
+                twice[w] = on.add(cosine[w], cosine[w]);
+            }
+            let mut next = [on.all(0.0); WAYS];
+            let mut after = next;
+            for c in rest.iter().rev() {
+                let c = on.all(*c);
+                for w in 0..WAYS {
+                    let here = on.mul_add(twice[w], next[w], on.sub(c, after[w]));
+                    after[w] = next[w];
+                    next[w] = here;
+                }
+            }
+            for (w, cosines) in chunk.chunks(width).enumerate() {
+                let sum = on.mul_add(cosine[w], next[w], on.sub(on.all(constant), after[w]));
+                found.extend_from_slice(&on.store(sum)[..cosines.len()]);
+            }
+        }
+        found
     }
 }
 
@@ -185,25 +245,82 @@ impl Halves {
     }
 
     /// Adds the cosine series through these values.
-    fn add_series(&self, cosines: &mut Vec<f64>) {
-        let pairs = self.even.len();
-        let count = 2 * pairs;
+    fn add_series(&self, arch: pulp::Arch, cosines: &mut Vec<f64>) {
+        let count = 2 * self.even.len();
         if cosines.len() < count {
             cosines.resize(count, 0.0);
         }
-        // cos(k (i + ½) π / count) has the period 4 count in k (2i + 1).
-        let table: Vec<f64> = (0..4 * count).map(|j| (PI * j as f64 / (2 * count) as f64).cos()).collect();
-        for (k, cosine) in cosines.iter_mut().enumerate().take(count) {
-            let half = if k % 2 == 0 { &self.even } else { &self.odd };
-            let (mut at, mut sum) = (k, 0.0);
-            for value in half {
-                sum += value * table[at];
-                at += 2 * k;
-                if at >= table.len() {
-                    at -= table.len();
+        arch.dispatch(Transform { halves: self, cosines });
+    }
+}
+
+/// Adds to `cosines` the cosine series through the values of `halves`.
+struct Transform<'a> {
+    halves: &'a Halves,
+    cosines: &'a mut [f64],
+}
+
+impl pulp::WithSimd for Transform<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        if fused::<S>() { self.run::<S, true>(simd) } else { self.run::<S, false>(simd) }
+    }
+}
+
+impl Transform<'_> {
+    /// c_k = 2/count Σ f(θ_i) cos kθ_i; cos k(i + ½)h over i by the three-term recurrence, several k side by side
+    /// (its rounding grows as count²: 1e-10 for count = 1000).
+    #[inline(always)]
+    #[expect(
+        clippy::needless_range_loop,
+        reason = "counted loops over WAYS unroll, so that vectors stay in registers"
+    )]
+    fn run<S: Simd, const FUSED: bool>(self, simd: S) {
+        /// Vectors of k side by side.
+        const WAYS: usize = 4;
+        let on = Vector::<S, FUSED>(simd);
+        let width = S::F64_LANES;
+        let pairs = self.halves.even.len();
+        let step = PI / (2 * pairs) as f64;
+        for (parity, half) in [&self.halves.even, &self.halves.odd].into_iter().enumerate() {
+            let mut first = 0;
+            while first < pairs {
+                let number = |w: usize, lane: usize| (parity + 2 * (first + w * width + lane)) as f64;
+                let mut here = [on.all(0.0); WAYS];
+                let mut turn = [on.all(0.0); WAYS];
+                for w in 0..WAYS {
+                    let (mut halves, mut turns) = ([0.0; BATCH], [0.0; BATCH]);
+                    for lane in 0..width {
+                        let angle = number(w, lane) * step;
+                        halves[lane] = (0.5 * angle).cos();
+                        turns[lane] = 2.0 * angle.cos();
+                    }
+                    here[w] = on.load(&halves);
+                    turn[w] = on.load(&turns);
                 }
+                let mut below = here;
+                let mut sums = [on.all(0.0); WAYS];
+                for value in half {
+                    let value = on.all(*value);
+                    for w in 0..WAYS {
+                        sums[w] = on.mul_add(value, here[w], sums[w]);
+                        let above = on.mul_sub(turn[w], here[w], below[w]);
+                        below[w] = here[w];
+                        here[w] = above;
+                    }
+                }
+                for w in 0..WAYS {
+                    for (lane, sum) in on.store(sums[w]).into_iter().enumerate().take(width) {
+                        let k = parity + 2 * (first + w * width + lane);
+                        if k < 2 * pairs {
+                            self.cosines[k] += sum * if k == 0 { 1.0 } else { 2.0 } / pairs as f64;
+                        }
+                    }
+                }
+                first += WAYS * width;
             }
-            *cosine += sum * if k == 0 { 1.0 } else { 2.0 } / pairs as f64;
         }
     }
 }
@@ -484,6 +601,19 @@ mod tests {
             assert!((found - wanted).abs() < 1e-8 * largest, "{degrees}: {found:e} {wanted:e}");
         }
         assert!((pattern.total() / (0.5 * scattered) - 1.0).abs() < 1e-8);
+        // The distribution from its own series: nothing at 0°, everything at 180°, and a rise of f sin θ dθ/2.
+        let within = pattern.within();
+        assert!((within.at(-1.0) / pattern.total() - 1.0).abs() < 1e-10);
+        assert!((within.at(1.0) / pattern.total()).abs() < 1e-10);
+        let cosines: Vec<f64> = (0..77).map(|i| (f64::from(i) * 0.04).cos()).collect();
+        for (cosine, many) in cosines.iter().zip(within.at_many(&cosines)) {
+            assert!((within.at(*cosine) - many).abs() < 1e-10 * pattern.total());
+            let (theta, h) = (cosine.acos(), 1e-4);
+            let rise = (within.at((theta + h).cos()) - within.at((theta - h).cos())) / (2.0 * h);
+            // Truncation: h²/6 of the third derivative, below (2N)² of the largest value.
+            let wanted = 0.5 * pattern.at(*cosine) * theta.sin();
+            assert!((rise - wanted).abs() < 1e-2 * largest.max(1.0) * 1e-2, "{theta}: {rise} {wanted}");
+        }
     }
 
     #[test]
