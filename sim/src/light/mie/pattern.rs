@@ -160,10 +160,6 @@ impl pulp::WithSimd for Evaluation<'_> {
 impl Evaluation<'_> {
     /// Clenshaw's recurrence.
     #[inline(always)]
-    #[expect(
-        clippy::needless_range_loop,
-        reason = "counted loops over WAYS unroll, so that vectors stay in registers"
-    )]
     fn run<S: Simd, const FUSED: bool>(&self, simd: S) -> Vec<f64> {
         /// Vectors of angles side by side.
         const WAYS: usize = 4;
