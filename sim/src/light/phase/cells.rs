@@ -32,8 +32,8 @@ impl PhaseCells {
         self.cells.bounds()
     }
 
-    /// Largest distance of the cumulative distribution from that of the function it stands for, as far as the points
-    /// compared between nodes tell; at the nodes there is none.
+    /// Largest distance of the cumulative distribution from that of the function it stands for, from the points
+    /// compared between nodes; at the nodes there is none.
     pub fn error(&self) -> f64 {
         self.cells.error
     }
