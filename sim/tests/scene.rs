@@ -6,6 +6,7 @@ use ditd_sim::scene::compact;
 use ditd_sim::scene::field::GasCell;
 use ditd_sim::scene::file::{self, MediumSource, Scene, SceneError};
 use ditd_sim::scene::lights::{Lights, Share};
+use ditd_sim::scene::optics::OpticsOptions;
 use ditd_sim::tracer::camera::{Camera, PixelFilter};
 use ditd_sim::tracer::image::{RenderOptions, render_image};
 use ditd_sim::tracer::medium::GridMedium;
@@ -46,7 +47,7 @@ const BAND: &str = "[band]\nwavelength_um = 3.4\n";
 fn scene_in(folder: &Path, text: &str) -> Result<Scene, SceneError> {
     let path = folder.join("scene.toml");
     std::fs::write(&path, text).expect("a sound scene");
-    file::load(&path).and_then(Scene::with_spray)
+    file::load(&path).and_then(|scene| scene.with_spray(&OpticsOptions::default()))
 }
 
 fn scene(text: &str) -> Result<Scene, SceneError> {

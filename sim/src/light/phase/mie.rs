@@ -117,10 +117,8 @@ pub fn of_spheres(spheres: &[Sphere], numbers: &[f64], target: f64) -> Result<Mi
         return Err(PhaseError::Zero);
     }
     let largest = spheres.iter().fold(0.0_f64, |x, sphere| x.max(sphere.size_parameter));
-    let towards: Vec<Direction> = angles(angles_for(largest))
-        .iter()
-        .filter_map(|&theta| Direction::from_radians(theta).ok())
-        .collect();
+    let towards: Vec<Direction> =
+        angles(angles_for(largest)).iter().filter_map(|&theta| Direction::from_radians(theta).ok()).collect();
     let sum = pattern(spheres, numbers, &towards)?;
     let p11: Vec<f64> = sum.iter().map(|s| 2.0 * s / scattered).collect();
     from_values(&p11, forward / scattered, target)
@@ -137,8 +135,10 @@ fn pattern(spheres: &[Sphere], numbers: &[f64], towards: &[Direction]) -> Result
         .map(|(task, (spheres, numbers))| {
             let mut sum = vec![0.0; towards.len()];
             for (i, (&sphere, number)) in spheres.iter().zip(numbers).enumerate() {
-                let amplitudes = amplitudes_towards(sphere, towards)
-                    .map_err(|error| PhaseError::Sphere { entry: task * TASK + i, problem: error.to_string() })?;
+                let amplitudes = amplitudes_towards(sphere, towards).map_err(|error| PhaseError::Sphere {
+                    entry: task * TASK + i,
+                    problem: error.to_string(),
+                })?;
                 for (sum, (s1, s2)) in sum.iter_mut().zip(amplitudes) {
                     *sum += number * (s1.norm_sqr() + s2.norm_sqr());
                 }

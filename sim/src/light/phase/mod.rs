@@ -65,7 +65,9 @@ pub enum PhaseError {
     #[error("phase table: it is zero at all angles")]
     Zero,
     /// phase function: the values have the mean cosine {found}, it should be {asymmetry}; give more angles
-    #[error("phase function: the values have the mean cosine {found}, it should be {asymmetry}; give more angles")]
+    #[error(
+        "phase function: the values have the mean cosine {found}, it should be {asymmetry}; give more angles"
+    )]
     Unresolved {
         /// Mean cosine of the values.
         found: f64,
@@ -81,7 +83,9 @@ pub enum PhaseError {
         problem: String,
     },
     /// phase function: a cone of {half_angle_rad} rad cannot be cut off; give an angle between 0 and pi/2
-    #[error("phase function: a cone of {half_angle_rad} rad cannot be cut off; give an angle between 0 and pi/2")]
+    #[error(
+        "phase function: a cone of {half_angle_rad} rad cannot be cut off; give an angle between 0 and pi/2"
+    )]
     Cone {
         /// The half angle asked for.
         half_angle_rad: f64,
@@ -150,9 +154,9 @@ impl PhaseFunction {
             Self::Table(table) => table.theta_rad().to_vec(),
             Self::Cells(cells) => cells.theta_rad(),
             Self::Isotropic | Self::Rayleigh => Vec::new(),
-            Self::HenyeyGreenstein { .. } => {
-                (0..=STEPS).map(|i| inverse::angle(1.0 - self.sample(f64::from(i) / f64::from(STEPS)))).collect()
-            }
+            Self::HenyeyGreenstein { .. } => (0..=STEPS)
+                .map(|i| inverse::angle(1.0 - self.sample(f64::from(i) / f64::from(STEPS))))
+                .collect(),
         };
         bounds.extend((0..=STEPS).map(|i| PI * f64::from(i) / f64::from(STEPS)));
         bounds.sort_unstable_by(f64::total_cmp);

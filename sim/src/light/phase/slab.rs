@@ -35,7 +35,8 @@ impl Slab {
         let once = |sign: f64| -> Matrix {
             let row = |i: usize| {
                 std::array::from_fn(|j| {
-                    0.5 * albedo * redistribution(chi, cosine[i], sign * cosine[j]) * thin / cosine[i] * weight[j]
+                    0.5 * albedo * redistribution(chi, cosine[i], sign * cosine[j]) * thin / cosine[i]
+                        * weight[j]
                 })
             };
             (0..STREAMS).map(row).collect()

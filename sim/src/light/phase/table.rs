@@ -63,9 +63,10 @@ impl PhaseTable {
             return Err(PhaseError::Zero);
         }
         let mut value: Vec<f64> = p11.iter().map(|&p| p / peak).collect();
-        let cells =
-            Cells::new(&pieces(&theta), SAMPLING_ERROR, &|at| at.iter().map(|&t| linear(&theta, &value, t)).collect())
-                .ok_or(PhaseError::Zero)?;
+        let cells = Cells::new(&pieces(&theta), SAMPLING_ERROR, &|at| {
+            at.iter().map(|&t| linear(&theta, &value, t)).collect()
+        })
+        .ok_or(PhaseError::Zero)?;
         let norm = cells.norm;
         value.iter_mut().for_each(|v| *v /= norm);
         let versine = theta.iter().map(|&t| versine(t)).collect();

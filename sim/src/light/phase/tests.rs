@@ -118,6 +118,12 @@ fn samples_thin_out_as_the_value_says() {
     }
 }
 
+/// Which of 64 equal steps an angle is in.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an angle within 0 and π")]
+fn bin(theta: f64) -> usize {
+    ((theta * 64.0 / PI) as usize).min(63)
+}
+
 /// χ² of 64 bins of equal angle against the integral of `value`, 400 000 samples. The largest of 17 such numbers stays
 /// below 115, the 1 − 7e-5 quantile of χ²(63), with probability 0.999.
 #[test]
@@ -131,8 +137,7 @@ fn samples_are_distributed_as_evaluated() {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let u = f64::from(u32::try_from(state >> 32).unwrap()) / 4_294_967_296.0;
             let theta = phase.sample(u).acos();
-            let bin = (0..64u8).rev().find(|&b| theta >= PI * f64::from(b) / 64.0).unwrap();
-            counts[usize::from(bin)] += 1.0;
+            counts[bin(theta)] += 1.0;
         }
         let (mut chi2, mut rest, mut rest_expected) = (0.0, 0.0, 0.0);
         for (b, count) in (0..64u8).zip(counts) {
@@ -219,7 +224,10 @@ fn bad_tables_are_refused() {
     assert!(matches!(refused(sphere, -1.0), PhaseError::Value { entry: 0 }));
     assert!(matches!(refused(sphere, 0.0), PhaseError::Zero));
     for size_parameter in [f64::NAN, 1e4] {
-        assert!(matches!(refused(Sphere { size_parameter, ..sphere }, 1.0), PhaseError::Sphere { entry: 0, .. }));
+        assert!(matches!(
+            refused(Sphere { size_parameter, ..sphere }, 1.0),
+            PhaseError::Sphere { entry: 0, .. }
+        ));
     }
     assert!(matches!(mie::of_spheres(&[sphere], &[], 1e-4), Err(PhaseError::Length { .. })));
     assert!(matches!(mie::from_values(&[1.0], 0.0, 1e-4), Err(PhaseError::Length { .. })));

@@ -110,11 +110,9 @@ pub fn cone(phase: &PhaseFunction, half_angle_rad: f64) -> Result<Truncation, Ph
     if fraction <= 0.0 {
         return Ok(whole(phase));
     }
-    let left = |theta: &f64| {
-        spread + if *theta < half_angle_rad { 0.0 } else { phase.at_versine(versine(*theta)) }
-    };
-    let Some(cells) =
-        Cells::new(&bounds, DISTRIBUTION_ERROR, &|at: &[f64]| at.iter().map(left).collect())
+    let left =
+        |theta: &f64| spread + if *theta < half_angle_rad { 0.0 } else { phase.at_versine(versine(*theta)) };
+    let Some(cells) = Cells::new(&bounds, DISTRIBUTION_ERROR, &|at: &[f64]| at.iter().map(left).collect())
     else {
         return Ok(nothing_left(phase));
     };
@@ -276,7 +274,8 @@ mod tests {
 
     fn peaked() -> Vec<(&'static str, PhaseFunction)> {
         let sphere = |size_parameter| crate::light::mie::Sphere { size_parameter, n: 1.38, k: 0.05 };
-        let spray = super::super::mie::of_spheres(&[sphere(6.0), sphere(13.0), sphere(25.0)], &[9.0, 3.0, 1.0], 1e-6);
+        let spray =
+            super::super::mie::of_spheres(&[sphere(6.0), sphere(13.0), sphere(25.0)], &[9.0, 3.0, 1.0], 1e-6);
         vec![
             ("hg 0.85", PhaseFunction::HenyeyGreenstein { asymmetry: 0.85 }),
             ("hg 0.95", PhaseFunction::HenyeyGreenstein { asymmetry: 0.95 }),
@@ -304,7 +303,8 @@ mod tests {
     #[test]
     fn mean_cosine_and_absorption_are_kept_and_nothing_is_negative() {
         for (name, phase) in peaked() {
-            let cones = [0.3, 2.0, 10.0, 90.0].map(|degrees: f64| cone(&phase, degrees.to_radians()).unwrap());
+            let cones =
+                [0.3, 2.0, 10.0, 90.0].map(|degrees: f64| cone(&phase, degrees.to_radians()).unwrap());
             let series = [1, 3, 8, 30, 150].map(|order| delta_m(&phase, order).unwrap());
             for cut in cones.iter().chain(&series) {
                 let f = cut.fraction;
@@ -378,7 +378,8 @@ mod tests {
                     let less = Slab::new(&cut.phase, cut.extinction(depth, albedo), cut.albedo(albedo));
                     for lowest_cosine in [0.0, 0.5] {
                         let (mut square, mut weight) = (0.0, 0.0);
-                        for (before, after) in full.plate(lowest_cosine).iter().zip(less.plate(lowest_cosine)) {
+                        for (before, after) in full.plate(lowest_cosine).iter().zip(less.plate(lowest_cosine))
+                        {
                             square += before.1 * (before.0 - after.0) * (before.0 - after.0);
                             weight += before.1;
                         }
@@ -386,9 +387,14 @@ mod tests {
                         // Through an oblique slab of a mean secant of 2.
                         let size = if lowest_cosine > 0.0 { 2.0 * PI / 3.0 } else { PI };
                         let stated = cut.error(2.0 * albedo * depth, size);
-                        println!("{name} {degrees} deg, {depth} {albedo} {lowest_cosine}: {change:.2e} of {stated:.2e}");
+                        println!(
+                            "{name} {degrees} deg, {depth} {albedo} {lowest_cosine}: {change:.2e} of {stated:.2e}"
+                        );
                         assert!(change <= stated, "{name} {degrees} {depth} {albedo}: {change:e} {stated:e}");
-                        assert!(change >= 1e-3 * stated, "{name} {degrees}: {change:e} is far below {stated:e}");
+                        assert!(
+                            change >= 1e-3 * stated,
+                            "{name} {degrees}: {change:e} is far below {stated:e}"
+                        );
                     }
                 }
             }

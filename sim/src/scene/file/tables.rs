@@ -228,9 +228,12 @@ pub(super) enum PhaseChoice {
     Isotropic,
     HenyeyGreenstein {
         asymmetry: f64,
+        /// Half angle of the cone that counts as unscattered.
+        truncate_deg: Option<f64>,
     },
     Table {
         file: PathBuf,
+        truncate_deg: Option<f64>,
     },
 }
 
