@@ -5,6 +5,7 @@ use super::*;
 use crate::light::mie as spheres;
 use crate::light::mie::{Direction, Sphere};
 use crate::light::quadrature::gauss_legendre;
+use proptest::prelude::*;
 
 /// Four spheres with numbers of droplets: a small spray.
 const SPRAY: ([f64; 4], [f64; 4]) = ([2.0, 6.5, 14.0, 31.0], [1.0, 0.3, 0.05, 0.01]);
@@ -317,4 +318,45 @@ fn values_that_do_not_resolve_the_peak_are_refused() {
     assert!(mie::from_values(&at(enough), asymmetry, 1e-6).is_ok());
     assert!(matches!(mie::from_values(&at(40), asymmetry, 1e-4), Err(PhaseError::Unresolved { .. })));
     assert!(matches!(mie::from_values(&at(enough), f64::NAN, 1e-4), Err(PhaseError::Unresolved { .. })));
+}
+
+proptest! {
+    /// Any table: nodes down to 1e-9 rad apart, values over twelve decades, with zeros.
+    #[test]
+    fn any_table_is_sampled_as_it_is_evaluated(
+        steps in prop::collection::vec((-9.0..0.0f64, -12.0..0.5f64), 2..40),
+        us in prop::collection::vec(0.0..1.0f64, 20),
+    ) {
+        let total: f64 = steps.iter().map(|s| 10f64.powf(s.0)).sum();
+        let mut theta = vec![0.0];
+        let mut sum = 0.0;
+        for step in &steps {
+            sum += 10f64.powf(step.0);
+            theta.push(PI * sum / total);
+        }
+        let last = theta.len() - 1;
+        theta[last] = PI;
+        let mut p11: Vec<f64> =
+            steps.iter().map(|s| if s.1 > 0.0 { 0.0 } else { 10f64.powf(s.1) }).collect();
+        p11.push(1e-3);
+        // Steps below the rounding of the sum are refused, as they must be.
+        if let Ok((table, norm)) = PhaseTable::new(&theta, &p11) {
+            prop_assert!(norm > 0.0 && norm.is_finite());
+            let (error, cells) = table.sampling();
+            prop_assert!(error <= SAMPLING_ERROR && cells < 1 << 16, "{error:e} {cells}");
+            let phase = PhaseFunction::Table(Arc::new(table));
+            let one = integral(&phase, 0.0, PI, |_| 1.0);
+            let mean = 1.0 - integral(&phase, 0.0, PI, |v| v);
+            prop_assert!((one - 1.0).abs() < 1e-9, "{one}");
+            prop_assert!((mean - phase.mean_cosine()).abs() < 1e-8, "{mean}");
+            let rounding = 1e-12 + 2.3e-16 * p11.iter().fold(0.0f64, |m, p| m.max(p / norm));
+            for u in us {
+                let cosine = phase.sample(u);
+                prop_assert!((-1.0..=1.0).contains(&cosine));
+                let error = (phase.within(cosine) - (1.0 - u)).abs();
+                let ulp = 1e-15 * phase.value(cosine);
+                prop_assert!(error < rounding + ulp, "{u}: {error:e} {ulp:e}");
+            }
+        }
+    }
 }

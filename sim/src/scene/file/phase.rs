@@ -22,7 +22,7 @@ impl Reader<'_> {
         notes: &mut Vec<String>,
     ) -> Result<Scattering, SceneError> {
         let (phase, truncate_deg) = match choice {
-            PhaseChoice::Isotropic => (PhaseFunction::Isotropic, None),
+            PhaseChoice::Isotropic {} => (PhaseFunction::Isotropic, None),
             PhaseChoice::HenyeyGreenstein { asymmetry, truncate_deg } if asymmetry.abs() <= 1.0 => {
                 (PhaseFunction::HenyeyGreenstein { asymmetry: *asymmetry }, *truncate_deg)
             }

@@ -221,11 +221,11 @@ pub(super) struct BoxTable {
     pub(super) phase: PhaseChoice,
 }
 
-#[derive(Deserialize, Default)]
+#[derive(Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub(super) enum PhaseChoice {
-    #[default]
-    Isotropic,
+    // With braces: of a variant without them serde would take any keys and forget them.
+    Isotropic {},
     HenyeyGreenstein {
         asymmetry: f64,
         /// Half angle of the cone that counts as unscattered.
@@ -235,6 +235,12 @@ pub(super) enum PhaseChoice {
         file: PathBuf,
         truncate_deg: Option<f64>,
     },
+}
+
+impl Default for PhaseChoice {
+    fn default() -> Self {
+        Self::Isotropic {}
+    }
 }
 
 fn one() -> f64 {

@@ -14,12 +14,8 @@ fn fuel() -> Fuel {
 
 /// One cell of a decimetre with droplets of one size, one with vapour.
 fn field(diameter_um: f64, per_m3: f32, vapour_mol_m3: f64) -> SprayField {
-    let droplets = Parcel {
-        position_m: [0.0; 3],
-        diameter_m: diameter_um * 1e-6,
-        temperature_k: 360.0,
-        droplets: 1e4,
-    };
+    let droplets =
+        Parcel { position_m: [0.0; 3], diameter_m: diameter_um * 1e-6, temperature_k: 360.0, droplets: 1e4 };
     let gas = |vapour_mol_m3| Gas { temperature_k: 430.0, vapour_mol_m3 };
     SprayField {
         grid: Grid { lower_m: [0.0; 3], upper_m: [0.2, 0.1, 0.1], cells: [2, 1, 1] },
