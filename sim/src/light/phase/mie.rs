@@ -78,8 +78,8 @@ pub fn from_values(p11: &[f64], asymmetry: f64, target: f64) -> Result<MiePhase,
     let cells = Cells::new(&bounds, target, &|at| series.at(at)).ok_or(PhaseError::Zero)?;
     let cells = PhaseCells::new(cells);
     let found = cells.mean_cosine();
-    // Also for a NaN.
-    if !((found - asymmetry).abs() <= target) {
+    let off = (found - asymmetry).abs();
+    if off.is_nan() || off > target {
         return Err(PhaseError::Unresolved { found, asymmetry });
     }
     let (nodes, error) = (cells.nodes(), cells.error());
