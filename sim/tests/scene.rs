@@ -6,6 +6,7 @@ use ditd_sim::scene::compact;
 use ditd_sim::scene::field::GasCell;
 use ditd_sim::scene::file::{self, MediumSource, Scene, SceneError};
 use ditd_sim::scene::lights::{Lights, Share};
+use ditd_sim::scene::optics::OpticsOptions;
 use ditd_sim::tracer::camera::{Camera, PixelFilter};
 use ditd_sim::tracer::image::{RenderOptions, render_image};
 use ditd_sim::tracer::medium::GridMedium;
@@ -46,7 +47,7 @@ const BAND: &str = "[band]\nwavelength_um = 3.4\n";
 fn scene_in(folder: &Path, text: &str) -> Result<Scene, SceneError> {
     let path = folder.join("scene.toml");
     std::fs::write(&path, text).expect("a sound scene");
-    file::load(&path).and_then(Scene::with_spray)
+    file::load(&path).and_then(|scene| scene.with_spray(&OpticsOptions::default()))
 }
 
 fn scene(text: &str) -> Result<Scene, SceneError> {
@@ -120,6 +121,66 @@ fn every_kind_of_medium_is_read_traced_and_lit() {
             + seen.medium * band.radiance(450.0);
         assert!((seen.radiance / light - 1.0).abs() < 1e-12, "{kind}: {seen:?} {light}");
     }
+}
+
+/// A phase function without its peak: absorption stays to rounding, scattering loses the share that the note tells, and
+/// bad angles are refused with their line.
+#[test]
+fn a_truncated_peak_changes_scattering_only() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("phase.csv"), "theta_deg,p11\n0,4000\n1,900\n4,20\n90,0.2\n180,0.1\n")
+        .unwrap();
+    let with = |phase: &str| {
+        let medium =
+            "kind = \"sphere\"\ncentre_m = [0, 0, 0]\nradius_m = 0.01\nextinction = 50\nalbedo = 0.8";
+        scene_in(folder.path(), &format!("[medium]\n{medium}\nphase = {{ {phase} }}\n"))
+    };
+    let coefficients = |scene: &Scene| {
+        let Some(MediumSource::Shape(medium, _)) = &scene.medium else { panic!("a sphere") };
+        let ditd_sim::tracer::shape::Shape::Sphere { extinction, .. } = medium.shape else {
+            panic!("a sphere")
+        };
+        (extinction * medium.albedo, extinction * (1.0 - medium.albedo))
+    };
+    for phase in ["kind = \"henyey-greenstein\", asymmetry = 0.9", "kind = \"table\", file = \"phase.csv\""] {
+        let whole = with(phase).unwrap();
+        let cut = with(&format!("{phase}, truncate_deg = 2")).unwrap();
+        let ((before, absorbed), (after, still)) = (coefficients(&whole), coefficients(&cut));
+        assert!((absorbed - 10.0).abs() < 1e-13 && (still - absorbed).abs() < 1e-12, "{absorbed} {still}");
+        let fraction = 1.0 - after / before;
+        assert!((0.02..0.9).contains(&fraction), "{fraction}");
+        let note = cut.notes.iter().find(|note| note.contains("unscattered")).unwrap();
+        assert!(note.contains(&format!("{fraction:.4}")) && note.contains("2 deg"), "{note}");
+        // A table says that it was renormalised.
+        assert_eq!(cut.notes.iter().any(|note| note.contains("phase.csv: norm")), phase.contains("table"));
+        for bad in ["0", "-1", "91", "nan"] {
+            let error = with(&format!("{phase}, truncate_deg = {bad}")).unwrap_err().to_string();
+            assert!(error.contains("truncate_deg") && error.contains("scene.toml"), "{error}");
+        }
+    }
+    assert!(with("kind = \"isotropic\", truncate_deg = 2").is_err());
+}
+
+/// The same for a spray, and what its coefficients took.
+#[test]
+fn a_spray_says_what_its_coefficients_took() {
+    let whole = scene(&format!("{VIEW}{BAND}{SPRAY}")).unwrap();
+    let cut = scene(&format!("{VIEW}{BAND}{SPRAY}truncate_deg = 2\n")).unwrap();
+    let grid = |scene: &Scene| {
+        let Some(MediumSource::Spectral(grid, _)) = &scene.medium else { panic!("a spectral grid") };
+        grid.clone()
+    };
+    let (a, b) = (grid(&whole), grid(&cut));
+    let left: f64 = b.k_sca.iter().sum::<f64>() / a.k_sca.iter().sum::<f64>();
+    assert!((0.2..0.99).contains(&left), "{left}");
+    for i in 0..a.k_ext.len() {
+        let (before, after) = (a.k_ext[i] - a.k_sca[i], b.k_ext[i] - b.k_sca[i]);
+        assert!((before - after).abs() <= 1e-14 * a.k_ext[i], "{i}: {before} {after}");
+    }
+    assert_eq!(a.emission, b.emission);
+    let report = whole.optics.unwrap();
+    assert!(report.mie_spheres > report.spheres && report.vapour_nodes > 0 && report.phase_tables == 1);
+    assert!(report.skipped.is_empty() && whole.notes.iter().any(|note| note.contains("Mie calculations")));
 }
 
 /// The shipped spray on a grid: where there are no droplets, the absorption along sights is the closed form of the

@@ -3,6 +3,7 @@
 use super::{CommandError, CommandResult};
 use ditd_sim::scene::file::{self, MediumSource, Scene};
 use ditd_sim::scene::lights::{Lights, Share};
+use ditd_sim::scene::optics::{OpticsOptions, OpticsReport, Work};
 use ditd_sim::tracer::camera::Camera;
 use ditd_sim::tracer::image::{RenderOptions, render_image};
 use ditd_sim::tracer::medium::{EMPTY, GridMedium};
@@ -55,14 +56,16 @@ pub struct Args {
 ///
 /// Status 2 for a scene or a table of rays that makes no sense, 1 where a file cannot be written.
 pub fn run(args: Args) -> CommandResult {
+    if args.target_error.is_some_and(|t| t.is_nan() || t <= 0.0) {
+        return Err(CommandError::usage("render: --target-error must be positive"));
+    }
+    let default = if args.rays.is_some() { RAY_TARGET } else { IMAGE_TARGET };
+    let options = OpticsOptions { target_error: args.target_error.unwrap_or(default) };
     let scene = file::load(&args.scene)
-        .and_then(Scene::with_spray)
+        .and_then(|scene| scene.with_spray(&options))
         .map_err(|e| CommandError::usage(e.to_string()))?;
     for note in &scene.notes {
         eprintln!("ditd: {note}");
-    }
-    if args.target_error.is_some_and(|t| t.is_nan() || t <= 0.0) {
-        return Err(CommandError::usage("render: --target-error must be positive"));
     }
     match &args.rays {
         Some(rays) => single_rays(&scene, rays, &args),
@@ -269,17 +272,36 @@ fn image(scene: &Scene, args: &Args) -> CommandResult {
     }
     let target = args.target_error.unwrap_or(IMAGE_TARGET);
     let gridded = !matches!(&scene.medium, Some(MediumSource::Shape(..)));
-    let (shares, stats) = if gridded && !args.reference {
+    let (shares, mut stats) = if gridded && !args.reference {
         fast(scene, camera, target, args.seed)?
     } else {
         pixel_by_pixel(scene, camera, target, args.seed)?
     };
+    stats.extend(scene.optics.iter().flat_map(optics_stats));
     let images = Images { channels: channels(&Columns::new(scene, args.groups), &shares), stats };
     if let Some(out) = &args.out {
         write_exr(out, camera, &images)
             .map_err(|e| CommandError::failure(format!("render: writing {}: {e}", out.display())))?;
     }
     report(&images, args.json)
+}
+
+/// What the coefficients of a spray took, and what was left out: groups and the most that it can cost.
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
+fn optics_stats(report: &OpticsReport) -> Vec<(String, f64)> {
+    let mut stats = vec![
+        ("mie_spheres".to_owned(), report.mie_spheres as f64),
+        ("vapour_nodes".to_owned(), report.vapour_nodes as f64),
+        ("phase_tables".to_owned(), report.phase_tables as f64),
+    ];
+    for work in [Work::Mie, Work::Vapour, Work::Phase] {
+        let skips = || report.skipped.iter().filter(|skip| skip.work == work);
+        let groups: usize = skips().map(|skip| skip.groups).sum();
+        let error = skips().map(|skip| skip.admitted_error).fold(0.0, f64::max);
+        stats.push((format!("skipped_{}_groups", work.name()), groups as f64));
+        stats.push((format!("skipped_{}_error", work.name()), error));
+    }
+    stats
 }
 
 /// Shares of every pixel and group, and what was done.

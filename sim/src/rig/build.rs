@@ -169,7 +169,8 @@ fn spray_sights(
         radiance(Species::Droplets, 0.0),
     ];
     progress("cross-sections of droplets and vapour", 0.02);
-    let medium = optics::medium(&field, &fuel, band, &sources);
+    let options = optics::OpticsOptions { target_error: config.target_error };
+    let medium = optics::medium(&field, &fuel, band, &sources, &options);
     let camera = camera(config);
     let plate = PlateShape::Disc {
         centre_m: config.plate_view.centre_m,

@@ -80,12 +80,14 @@ fn legendre_series(chi: &[f64], mu: f64) -> f64 {
 
 /// A row of slab_scatter.csv.
 pub fn slab(row: &[String], options: &RayOptions) -> Row {
-    let [omega, tau, mu_cone, mu] = [2, 3, 4, 5].map(|i| number(&row[i]));
-    let medium = ShapeMedium {
-        shape: Shape::Slab { thickness_m: 0.01, optical_depth: tau },
-        albedo: omega,
-        phase: phase(&row[1]),
-    };
+    slab_of(phase(&row[1]), row, number(&row[2]), number(&row[3]), options)
+}
+
+/// The same with another phase function, albedo and optical depth.
+pub fn slab_of(phase: PhaseFunction, row: &[String], omega: f64, tau: f64, options: &RayOptions) -> Row {
+    let [mu_cone, mu] = [4, 5].map(|i| number(&row[i]));
+    let medium =
+        ShapeMedium { shape: Shape::Slab { thickness_m: 0.01, optical_depth: tau }, albedo: omega, phase };
     let half_angle_deg = if mu_cone > 0.0 { mu_cone.acos().to_degrees() } else { 90.0 };
     let plate = Plate::new(&PlateShape::Cone { facing: [0.0, 0.0, 1.0], half_angle_deg }).expect("a plate");
     let body = Body::shape(&medium).expect("a slab");

@@ -1,10 +1,13 @@
 //! A CFD spray as a medium: the place where import, deposit and optics are joined.
 
+use super::phase::{cut, thin, told};
 use super::{BandSource, CfdSource, MediumSource, Samples, Scene, SceneError};
 use crate::light::band::Band;
 use crate::light::fuel::Fuel;
+use crate::light::phase::truncation::Truncation;
 use crate::scene::deposit::{self, DepositOptions, Move, Placement};
 use crate::scene::import::{self, ImportOptions, Time};
+use crate::scene::optics::{Optics, OpticsOptions, OpticsReport, Source};
 use crate::scene::{compact, optics};
 use crate::tracer::image::GROUPS_MAX;
 
@@ -15,15 +18,17 @@ const EMISSIVITY_ERROR: f64 = 1e-3;
 const SAME_TIME: f64 = 1e-6;
 
 impl Scene {
-    /// Imports the scene's CFD spray, if it has one, and says in its notes how. Other scenes stay as they are.
+    /// Imports the scene's CFD spray, if it has one, for a purpose, and says in its notes how. Other scenes stay as they
+    /// are.
     ///
     /// # Errors
     ///
     /// [`SceneError`] for a spray that cannot be read, an unknown fuel, or a scene without band.
-    pub fn with_spray(mut self) -> Result<Self, SceneError> {
+    pub fn with_spray(mut self, options: &OpticsOptions) -> Result<Self, SceneError> {
         if let Some(MediumSource::Cfd(source)) = &self.medium {
-            let (medium, notes) = spectral(source, self.band.as_ref())?;
+            let (medium, report, notes) = spectral(source, self.band.as_ref(), options)?;
             self.medium = Some(medium);
+            self.optics = Some(report);
             self.notes.extend(notes);
         }
         Ok(self)
@@ -33,7 +38,8 @@ impl Scene {
 fn spectral(
     source: &CfdSource,
     band: Option<&BandSource>,
-) -> Result<(MediumSource, Vec<String>), SceneError> {
+    options: &OpticsOptions,
+) -> Result<(MediumSource, OpticsReport, Vec<String>), SceneError> {
     let text = std::fs::read_to_string(&source.scene).unwrap_or_default();
     let wrong = |problem: String| SceneError::Meaning {
         path: source.scene.clone(),
@@ -62,8 +68,8 @@ fn spectral(
         import::read(&source.path, time, &ImportOptions::default()).map_err(unread)?
     };
     let placement = placement(source).map_err(unread)?;
-    let options = DepositOptions { cell_m: source.cell_m, placement, ..DepositOptions::default() };
-    let (field, report) = deposit::field(&spray, &options).map_err(unread)?;
+    let spread = DepositOptions { cell_m: source.cell_m, placement, ..DepositOptions::default() };
+    let (field, report) = deposit::field(&spray, &spread).map_err(unread)?;
     notes.push(format!(
         "spray at {:.3e} s: {} cells of {:.3e} m, {} with droplets, {} with vapour; {} parcels outside, {} junk",
         spray.time_s,
@@ -74,8 +80,35 @@ fn spectral(
         report.outside_parcels,
         report.junk_parcels
     ));
-    let medium = optics::medium(&field, &fuel, &samples, &[optics::Source::UNIT, optics::Source::RADIANCE]);
-    Ok((MediumSource::Spectral(Box::new(medium), samples), notes))
+    let sources = [Source::UNIT, Source::RADIANCE];
+    let Optics { mut medium, report, .. } = optics::optics(&field, &fuel, &samples, &sources, options);
+    notes.push(format!(
+        "optics: {} Mie calculations, {} temperatures of the vapour, {} phase functions in {} groups",
+        report.mie_spheres,
+        report.vapour_nodes,
+        report.phase_tables,
+        samples.len()
+    ));
+    for skip in &report.skipped {
+        notes.push(format!(
+            "optics: skipped {} in {} groups: {}; a coefficient is off by at most {:.1e}",
+            skip.work.name(),
+            skip.groups,
+            skip.reason,
+            skip.admitted_error
+        ));
+    }
+    if let Some(degrees) = source.truncate_deg {
+        let cuts: Vec<Truncation> = medium
+            .phase
+            .iter()
+            .map(|phase| cut(phase, degrees))
+            .collect::<Result<_, _>>()
+            .map_err(|problem| wrong(format!("[medium] {problem}")))?;
+        thin(&mut medium, &cuts);
+        notes.push(told(&cuts.iter().collect::<Vec<_>>(), degrees));
+    }
+    Ok((MediumSource::Spectral(Box::new(medium), samples), report, notes))
 }
 
 /// The spectral groups of a fuel in a band.

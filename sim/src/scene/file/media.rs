@@ -1,16 +1,15 @@
 //! The `[medium]` tables: analytic shapes, grids with their arrays, and the names of CFD sprays.
 
 use super::band::BandSource;
-use super::tables::{GridTable, MediumTable, NumberOrFile, PhaseChoice};
+use super::phase::thin;
+use super::tables::{GridTable, MediumTable, NumberOrFile};
 use super::{Reader, SceneError, npy};
 use crate::light::band::Band;
-use crate::light::phase::{PhaseFunction, PhaseTable};
 use crate::scene::compact;
 use crate::tracer::medium::{EMPTY, GridMedium};
 use crate::tracer::shape::{Body, Shape, ShapeMedium};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// The medium of a scene.
 #[derive(Debug, Clone)]
@@ -61,31 +60,12 @@ pub struct CfdSource {
     /// Edge of the tracer's cells; that of the CFD's cells where the vapour is if not given.
     #[serde(default)]
     pub cell_m: Option<f64>,
+    /// Half angle in degrees of the cone within which scattered light counts as unscattered; none if not given.
+    #[serde(default)]
+    pub truncate_deg: Option<f64>,
 }
 
 impl Reader<'_> {
-    fn phase(&self, choice: &PhaseChoice, notes: &mut Vec<String>) -> Result<PhaseFunction, SceneError> {
-        match choice {
-            PhaseChoice::Isotropic => Ok(PhaseFunction::Isotropic),
-            PhaseChoice::HenyeyGreenstein { asymmetry } if asymmetry.abs() <= 1.0 => {
-                Ok(PhaseFunction::HenyeyGreenstein { asymmetry: *asymmetry })
-            }
-            PhaseChoice::HenyeyGreenstein { asymmetry } => {
-                Err(self.wrong(format!("phase: asymmetry {asymmetry} is outside -1 to 1")))
-            }
-            PhaseChoice::Table { file } => {
-                let path = self.folder.join(file);
-                let points = self.columns(&path, ["theta_deg", "p11"])?;
-                let theta: Vec<f64> = points.iter().map(|p| p.0.to_radians()).collect();
-                let p11: Vec<f64> = points.iter().map(|p| p.1).collect();
-                let (table, norm) = PhaseTable::new(&theta, &p11)
-                    .map_err(|e| SceneError::Array { path: path.clone(), problem: e.to_string() })?;
-                notes.push(format!("{}: norm {norm:.9} found, renormalised to 1", file.display()));
-                Ok(PhaseFunction::Table(Arc::new(table)))
-            }
-        }
-    }
-
     pub(super) fn medium(
         &self,
         table: MediumTable,
@@ -134,7 +114,7 @@ impl Reader<'_> {
             }
         };
         self.temperature("[medium]", temperature_k)?;
-        let medium = ShapeMedium { shape, albedo, phase: self.phase(&phase, notes)? };
+        let medium = self.scattering(&phase, notes)?.shape(shape, albedo);
         Body::shape(&medium).map_err(|e| self.wrong(format!("[medium] {e}")))?;
         Ok(MediumSource::Shape(medium, temperature_k))
     }
@@ -175,6 +155,7 @@ impl Reader<'_> {
         let albedo = self.field(&table.albedo, &extinction.shape)?;
         let temperature =
             table.temperature_k.as_ref().map(|t| self.field(t, &extinction.shape)).transpose()?;
+        let scattering = self.scattering(&table.phase, notes)?;
         let mut medium = GridMedium {
             lower_m: table.lower_m,
             upper_m: table.upper_m,
@@ -185,7 +166,7 @@ impl Reader<'_> {
             k_ext: Vec::new(),
             k_sca: Vec::new(),
             emission: Vec::new(),
-            phase: vec![self.phase(&table.phase, notes)?],
+            phase: vec![scattering.phase],
         };
         let mut radiance_at = (f64::NAN, 0.0);
         for (cell, &k) in extinction.values.iter().enumerate() {
@@ -210,6 +191,9 @@ impl Reader<'_> {
             medium.emission.extend([absorbed, absorbed * radiance_at.1]);
         }
         medium.check().map_err(|e| self.wrong(format!("[medium] {e}")))?;
+        if let Some(cut) = scattering.truncation {
+            thin(&mut medium, &[cut]);
+        }
         Ok(MediumSource::Grid(Box::new(medium), temperature.is_some()))
     }
 

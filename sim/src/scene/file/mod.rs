@@ -7,6 +7,7 @@ mod camera;
 mod cfd;
 mod media;
 pub mod npy;
+mod phase;
 mod tables;
 mod window;
 
@@ -14,6 +15,7 @@ pub use band::{BandSource, Samples};
 pub use media::{CfdSource, MediumSource};
 pub use window::{WindowSource, Windows};
 
+use crate::scene::optics::OpticsReport;
 use crate::tracer::camera::Camera;
 use crate::tracer::plate::{Plate, PlateShape};
 use std::path::{Path, PathBuf};
@@ -86,6 +88,8 @@ pub struct Scene {
     pub windows: Windows,
     /// What was changed while reading, for the user to see.
     pub notes: Vec<String>,
+    /// How the coefficients of a spray were made; none for other media.
+    pub optics: Option<OpticsReport>,
 }
 
 /// The plate and its light.
@@ -156,7 +160,8 @@ impl Reader<'_> {
             .map(|m| self.medium(m, band.as_ref(), &mut notes))
             .collect::<Result<Vec<_>, _>>()?;
         let medium = self.superpose(media)?;
-        let mut scene = Scene { camera, plate, walls, band, medium, windows: Windows::default(), notes };
+        let mut scene =
+            Scene { camera, plate, walls, band, medium, windows: Windows::default(), notes, optics: None };
         scene.windows = self.windows(&tables.window, tables.lab.as_ref(), &scene)?;
         Ok(scene)
     }

@@ -221,17 +221,26 @@ pub(super) struct BoxTable {
     pub(super) phase: PhaseChoice,
 }
 
-#[derive(Deserialize, Default)]
+#[derive(Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub(super) enum PhaseChoice {
-    #[default]
-    Isotropic,
+    // With braces: of a variant without them serde would take any keys and forget them.
+    Isotropic {},
     HenyeyGreenstein {
         asymmetry: f64,
+        /// Half angle of the cone that counts as unscattered.
+        truncate_deg: Option<f64>,
     },
     Table {
         file: PathBuf,
+        truncate_deg: Option<f64>,
     },
+}
+
+impl Default for PhaseChoice {
+    fn default() -> Self {
+        Self::Isotropic {}
+    }
 }
 
 fn one() -> f64 {

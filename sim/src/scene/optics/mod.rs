@@ -6,17 +6,21 @@
 
 mod droplets;
 mod pattern;
+mod skip;
+mod vapour;
 
-use super::field::{Gas, SprayField};
+use super::field::{Gas, Parcel, SprayField};
 use crate::light::band::Band;
 use crate::light::fuel::Fuel;
 use crate::light::phase::{PhaseFunction, PhaseTable};
 use crate::light::planck::photon_radiance;
-use crate::light::table::locate;
 use crate::tracer::medium::{EMPTY, GridMedium};
 use droplets::DropletTable;
 use rayon::prelude::*;
+use skip::Choice;
+pub use skip::{Skip, Work};
 use std::sync::Arc;
+use vapour::VapourTable;
 
 /// What emits in a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,6 +78,20 @@ impl Strength {
     }
 }
 
+/// What the coefficients are wanted for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OpticsOptions {
+    /// Absolute error wanted of each coefficient of a sight: work that cannot change one by half of it is left undone.
+    pub target_error: f64,
+}
+
+impl Default for OpticsOptions {
+    /// The default target of images, 1e-3.
+    fn default() -> Self {
+        Self { target_error: 1e-3 }
+    }
+}
+
 /// How the coefficients were made, and how good they are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OpticsReport {
@@ -81,12 +99,20 @@ pub struct OpticsReport {
     pub bins: usize,
     /// Mie calculations behind the table.
     pub spheres: usize,
+    /// Mie calculations in all: those of the table and those of the phase functions.
+    pub mie_spheres: usize,
+    /// Temperatures at which the vapour's cross-section was computed, per wavelength.
+    pub vapour_nodes: usize,
+    /// Phase functions that were tabulated.
+    pub phase_tables: usize,
+    /// What was not done, why, and the error that this admits.
+    pub skipped: Vec<Skip>,
     /// Liquid temperatures of the table.
     pub temperatures: usize,
     /// Largest relative change of a group's scattering or absorption, summed over the spray, when the number of
     /// radii per bin was last doubled.
     pub mie_error: f64,
-    /// Mean cosine of each group: scattering-weighted mean of the exact ones.
+    /// Mean cosine of each group: scattering-weighted mean of the exact ones; 0 where no phase function was tabulated.
     pub asymmetry: Vec<f64>,
     /// Mean cosine of the tabulated phase function of each group: its distance from the exact one is the error of
     /// the table.
@@ -99,7 +125,7 @@ pub struct OpticsReport {
     pub parcels_skipped: usize,
 }
 
-/// The mean phase function of one group as a table over the scattering angle; empty when nothing scatters.
+/// The mean phase function of one group as a table over the scattering angle; empty where none was made.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Pattern {
     /// Scattering angles from 0 to π, rad.
@@ -122,24 +148,48 @@ pub struct Optics {
 /// Coefficients of a spray for the wavelengths of a band, one group per sample, and one channel per source.
 ///
 /// Channel 0 must be [`Source::UNIT`]. See [`optics`] for the same with tables and a report.
-pub fn medium(field: &SprayField, fuel: &Fuel, band: &Band, sources: &[Source]) -> GridMedium {
-    optics(field, fuel, band, sources).medium
+pub fn medium(
+    field: &SprayField,
+    fuel: &Fuel,
+    band: &Band,
+    sources: &[Source],
+    options: &OpticsOptions,
+) -> GridMedium {
+    optics(field, fuel, band, sources, options).medium
 }
 
 /// [`medium`] with the phase functions as tables and a report. Runs on rayon's threads; the answer does not depend
 /// on their number.
 ///
-/// Emission of radiance channels is per µm at each group's wavelength: the band's weights come later.
-pub fn optics(field: &SprayField, fuel: &Fuel, band: &Band, sources: &[Source]) -> Optics {
+/// Emission of radiance channels is per µm at each group's wavelength: the band's weights come later. What cannot
+/// change a coefficient by half of the error wanted is not computed; the report says what and why.
+pub fn optics(
+    field: &SprayField,
+    fuel: &Fuel,
+    band: &Band,
+    sources: &[Source],
+    options: &OpticsOptions,
+) -> Optics {
     assert!(sources.first() == Some(&Source::UNIT), "channel 0 has source 1 for everything");
     assert!(!band.is_empty(), "a medium has at least one group");
     assert!(field.deposit_start.len() == field.cells.len() + 1, "one range of deposits per cell, and an end");
     assert!(field.gas.len() == field.cells.len(), "one gas per occupied cell");
     let um = &band.wavelengths_um;
     let (groups, channels) = (um.len(), sources.len());
-    let table = DropletTable::new(&field.parcels, fuel, um);
-    let rows = ParcelRows::new(field, &table, um, sources);
-    let vapour = VapourTable::new(fuel, um);
+    let mut skipped = Vec::new();
+    // Parcels that no cell holds a droplet of need no cross-sections.
+    let parcels: &[Parcel] = if field.deposit_parcel.is_empty() { &[] } else { &field.parcels };
+    if !parcels.iter().any(droplets::counts) {
+        let reason = "no cell holds droplets";
+        skipped.push(Skip { work: Work::Mie, reason, groups, admitted_error: 0.0 });
+    }
+    let table = DropletTable::new(parcels, fuel, um);
+    let rows = ParcelRows::new(parcels, &table, um, sources);
+    let vapour = field.gas.iter().any(|gas| gas.vapour_mol_m3 > 0.0).then(|| VapourTable::new(fuel, um));
+    if vapour.is_none() {
+        let reason = "no cell holds vapour";
+        skipped.push(Skip { work: Work::Vapour, reason, groups, admitted_error: 0.0 });
+    }
 
     let cells = field.cells.len();
     let mut k_ext = vec![0.0; cells * groups];
@@ -167,32 +217,41 @@ pub fn optics(field: &SprayField, fuel: &Fuel, band: &Band, sources: &[Source]) 
                     *sum += density * own;
                 }
             }
-            vapour.add(&field.gas[cell], um, sources, ext, emission);
+            if let Some(vapour) = &vapour {
+                vapour.add(&field.gas[cell], um, sources, ext, emission);
+            }
         });
 
     let mut index = vec![EMPTY; field.grid.cells.iter().product()];
     for (ordinal, &cell) in (0u32..).zip(&field.cells) {
         index[cell as usize] = ordinal;
     }
-    let (patterns, means): (Vec<Pattern>, Vec<(f64, f64)>) = um
+    let choices = choices(parcels, fuel, um, [&k_ext, &k_sca], options.target_error);
+    skipped.extend(skip::sum(&choices));
+    let made: Vec<pattern::Mean> = um
         .par_iter()
-        .map(|&um| {
-            let pattern = pattern::mean_pattern(&field.parcels, fuel, um);
-            (pattern.0, pattern.1)
+        .zip(&choices)
+        .map(|(&um, choice)| match choice {
+            Choice::Table => pattern::mean_pattern(parcels, fuel, um),
+            Choice::Isotropic(..) | Choice::Rayleigh(..) => pattern::Mean::default(),
         })
-        .unzip();
-    let (asymmetry, asymmetry_tabulated): (Vec<f64>, Vec<f64>) = means.into_iter().unzip();
-    let phase = patterns.iter().map(phase_function).collect();
+        .collect();
+    let phase =
+        made.iter().zip(&choices).map(|(mean, choice)| phase_function(&mean.pattern, *choice)).collect();
     let [low, high] = fuel.liquid_range_um();
     let [cold, hot] = fuel.vapour_range_k();
     let outside = |gas: &&Gas| gas.vapour_mol_m3 > 0.0 && !(cold..=hot).contains(&gas.temperature_k);
     let report = OpticsReport {
         bins: table.bins(),
         spheres: table.spheres(),
+        mie_spheres: table.spheres() + made.iter().map(|mean| mean.spheres).sum::<usize>(),
+        vapour_nodes: vapour.as_ref().map_or(0, VapourTable::nodes),
+        phase_tables: choices.iter().filter(|choice| **choice == Choice::Table).count(),
+        skipped,
         temperatures: table.temperatures(),
         mie_error: table.error(),
-        asymmetry,
-        asymmetry_tabulated,
+        asymmetry: made.iter().map(|mean| mean.asymmetry).collect(),
+        asymmetry_tabulated: made.iter().map(|mean| mean.asymmetry_tabulated).collect(),
         outside_liquid_um: um.iter().copied().filter(|um| !(low..=high).contains(um)).collect(),
         cells_outside_vapour_k: field.gas.iter().filter(outside).count(),
         parcels_skipped: field.parcels.iter().filter(|parcel| !droplets::counts(parcel)).count(),
@@ -209,14 +268,46 @@ pub fn optics(field: &SprayField, fuel: &Fuel, band: &Band, sources: &[Source]) 
         emission,
         phase,
     };
-    Optics { medium, patterns, report }
+    Optics { medium, patterns: made.into_iter().map(|mean| mean.pattern).collect(), report }
 }
 
-/// The pattern as the tracer samples it; isotropic for a group that does not scatter.
-fn phase_function(pattern: &Pattern) -> PhaseFunction {
-    match PhaseTable::new(&pattern.theta_rad, &pattern.p11) {
-        Ok((table, _)) => PhaseFunction::Table(Arc::new(table)),
-        Err(_) => PhaseFunction::Isotropic,
+/// How the phase function of each group is to be made.
+fn choices(
+    parcels: &[Parcel],
+    fuel: &Fuel,
+    um: &[f64],
+    [k_ext, k_sca]: [&[f64]; 2],
+    target: f64,
+) -> Vec<Choice> {
+    let groups = um.len();
+    let largest = parcels
+        .iter()
+        .filter(|parcel| droplets::counts(parcel))
+        .max_by(|a, b| a.diameter_m.total_cmp(&b.diameter_m));
+    let choice = |(group, &um): (usize, &f64)| {
+        let albedo = k_sca
+            .iter()
+            .zip(k_ext)
+            .skip(group)
+            .step_by(groups)
+            .filter(|k| *k.0 > 0.0)
+            .fold(0.0_f64, |most, (sca, ext)| most.max(sca / ext));
+        let size = largest.map_or(0.0, |parcel| {
+            let (n, k) = fuel.liquid_index(um, parcel.temperature_k);
+            std::f64::consts::PI * parcel.diameter_m / (um * 1e-6) * n.hypot(k).max(1.0)
+        });
+        Choice::new(albedo.min(1.0), size, target)
+    };
+    um.iter().enumerate().map(choice).collect()
+}
+
+/// The phase function as the tracer samples it; isotropic for a group that does not scatter.
+fn phase_function(pattern: &Pattern, choice: Choice) -> PhaseFunction {
+    match choice {
+        Choice::Isotropic(..) => PhaseFunction::Isotropic,
+        Choice::Rayleigh(..) => PhaseFunction::Rayleigh,
+        Choice::Table => PhaseTable::new(&pattern.theta_rad, &pattern.p11)
+            .map_or(PhaseFunction::Isotropic, |(table, _)| PhaseFunction::Table(Arc::new(table))),
     }
 }
 
@@ -227,11 +318,11 @@ struct ParcelRows {
 }
 
 impl ParcelRows {
-    fn new(field: &SprayField, table: &DropletTable, um: &[f64], sources: &[Source]) -> Self {
+    fn new(parcels: &[Parcel], table: &DropletTable, um: &[f64], sources: &[Source]) -> Self {
         let groups = um.len();
         let width = groups * (2 + sources.len());
-        let mut rows = vec![0.0; width * field.parcels.len()];
-        rows.par_chunks_mut(width).zip(&field.parcels).for_each(|(row, parcel)| {
+        let mut rows = vec![0.0; width * parcels.len()];
+        rows.par_chunks_mut(width).zip(parcels).for_each(|(row, parcel)| {
             if !droplets::counts(parcel) {
                 return;
             }
@@ -254,46 +345,7 @@ impl ParcelRows {
     }
 }
 
-/// Cross-section of the vapour per group over temperature, at steps of 1 K: the fuel's table is linear between
-/// whole kelvins, so nothing is lost.
-struct VapourTable {
-    nodes_k: Vec<f64>,
-    /// m²/mol, `[node][group]`.
-    m2_mol: Vec<Vec<f64>>,
-}
-
-impl VapourTable {
-    fn new(fuel: &Fuel, um: &[f64]) -> Self {
-        let [cold, hot] = fuel.vapour_range_k();
-        let mut nodes_k = vec![cold];
-        let mut next = cold.floor() + 1.0;
-        while next < hot {
-            nodes_k.push(next);
-            next += 1.0;
-        }
-        nodes_k.push(hot.max(cold + 1e-3));
-        let at = |t: &f64| um.iter().map(|&um| fuel.vapour_cross_section_m2_mol(um, *t)).collect();
-        let m2_mol = nodes_k.iter().map(at).collect();
-        Self { nodes_k, m2_mol }
-    }
-
-    fn add(&self, gas: &Gas, um: &[f64], sources: &[Source], ext: &mut [f64], emission: &mut [f64]) {
-        if gas.vapour_mol_m3 <= 0.0 {
-            return;
-        }
-        let (cold, warmth) = locate(&self.nodes_k, gas.temperature_k);
-        let (below, above) = (&self.m2_mol[cold], &self.m2_mol[cold + 1]);
-        for (group, &um) in um.iter().enumerate() {
-            let k_abs = gas.vapour_mol_m3 * (below[group] + warmth * (above[group] - below[group]));
-            if k_abs > 0.0 {
-                ext[group] += k_abs;
-                for (channel, source) in sources.iter().enumerate() {
-                    emission[channel * ext.len() + group] += k_abs * source.of_vapour(um, gas.temperature_k);
-                }
-            }
-        }
-    }
-}
-
+#[cfg(test)]
+mod skip_tests;
 #[cfg(test)]
 mod tests;

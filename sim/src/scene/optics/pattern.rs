@@ -13,14 +13,25 @@ const CLASS: f64 = 0.05;
 const ANGLES: usize = 361;
 const WARP: f64 = 4.0;
 
-/// The mean pattern at one wavelength; with it its exact and its tabulated mean cosine. Empty, with 0, when nothing
-/// scatters.
-pub(super) fn mean_pattern(parcels: &[Parcel], fuel: &Fuel, um: f64) -> (Pattern, (f64, f64)) {
+/// The mean pattern at one wavelength with what is known about it; empty, with zeros, when nothing scatters.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Mean {
+    pub(super) pattern: Pattern,
+    /// Exact mean cosine, and that of the table.
+    pub(super) asymmetry: f64,
+    pub(super) asymmetry_tabulated: f64,
+    /// Mie calculations it took.
+    pub(super) spheres: usize,
+}
+
+/// The mean pattern of parcels at one wavelength.
+pub(super) fn mean_pattern(parcels: &[Parcel], fuel: &Fuel, um: f64) -> Mean {
     let classes = classes(parcels);
     let area: f64 = classes.iter().map(|class| class.1).sum();
     if area <= 0.0 {
-        return (Pattern::default(), (0.0, 0.0));
+        return Mean::default();
     }
+    let spheres = classes.len();
     let warm: f64 = parcels.iter().filter(|p| counts(p)).map(|p| p.area_m2() * p.temperature_k).sum();
     let (n, k) = fuel.liquid_index(um, warm / area);
     let theta_rad = angles();
@@ -43,7 +54,7 @@ pub(super) fn mean_pattern(parcels: &[Parcel], fuel: &Fuel, um: f64) -> (Pattern
         }
     }
     if scattered <= 0.0 {
-        return (Pattern::default(), (0.0, 0.0));
+        return Mean { spheres, ..Mean::default() };
     }
     for p in &mut p11 {
         *p /= scattered;
@@ -52,7 +63,8 @@ pub(super) fn mean_pattern(parcels: &[Parcel], fuel: &Fuel, um: f64) -> (Pattern
     for p in &mut p11 {
         *p /= norm;
     }
-    (Pattern { theta_rad, p11 }, (forward / scattered, mean / norm))
+    let pattern = Pattern { theta_rad, p11 };
+    Mean { pattern, asymmetry: forward / scattered, asymmetry_tabulated: mean / norm, spheres }
 }
 
 /// Scattering angles, dense about the forward direction, the last one at most π.

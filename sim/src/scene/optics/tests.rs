@@ -38,7 +38,13 @@ fn one_size_of_droplets_gives_its_own_cross_section() {
     let fuel = Fuel::named(HEPTANE).unwrap();
     let band = Band::monochromatic(3.42);
     let sources = [Source::UNIT, Source::RADIANCE];
-    let found = optics(&small_field(vec![parcel(10.0, 360.0)], 1e12), &fuel, &band, &sources);
+    let found = optics(
+        &small_field(vec![parcel(10.0, 360.0)], 1e12),
+        &fuel,
+        &band,
+        &sources,
+        &OpticsOptions::default(),
+    );
     let (n, k) = fuel.liquid_index(3.42, 360.0);
     let x = std::f64::consts::PI * 10.0 / 3.42;
     let q = efficiencies(x, n, k).unwrap();
@@ -64,7 +70,13 @@ fn vapour_emits_at_the_temperature_of_the_gas_and_droplets_at_their_own() {
         Source { species: Species::Vapour, strength: warmer },
         Source { species: Species::All, strength: warmer },
     ];
-    let found = medium(&small_field(vec![parcel(10.0, 360.0)], 1e12), &fuel, &band, &sources);
+    let found = medium(
+        &small_field(vec![parcel(10.0, 360.0)], 1e12),
+        &fuel,
+        &band,
+        &sources,
+        &OpticsOptions::default(),
+    );
     assert_eq!(found.index, vec![0, 1]);
     for group in 0..2 {
         let um = band.wavelengths_um[group];
@@ -93,7 +105,8 @@ fn many_sizes_add_up_to_the_sum_of_single_droplets() {
     let parcels: Vec<Parcel> = (0..400)
         .map(|i| parcel((f64::from(i) / 399.0 * 60f64.ln()).exp(), 340.0 + f64::from(i % 50)))
         .collect();
-    let found = optics(&small_field(parcels.clone(), 1e10), &fuel, &band, &[Source::UNIT]);
+    let found =
+        optics(&small_field(parcels.clone(), 1e10), &fuel, &band, &[Source::UNIT], &OpticsOptions::default());
     let (mut sca, mut abs) = (0.0, 0.0);
     for parcel in &parcels {
         let (n, k) = fuel.liquid_index(3.42, parcel.temperature_k);
@@ -114,16 +127,29 @@ fn parcels_without_sense_are_left_out_and_counted() {
     let mut parcels =
         vec![parcel(10.0, 360.0), parcel(0.0, 360.0), parcel(10.0, f64::NAN), parcel(10.0, 360.0)];
     parcels[3].droplets = 0.0;
-    let found = optics(&small_field(parcels, 1e10), &fuel, &Band::monochromatic(3.4), &[Source::UNIT]);
+    let found = optics(
+        &small_field(parcels, 1e10),
+        &fuel,
+        &Band::monochromatic(3.4),
+        &[Source::UNIT],
+        &OpticsOptions::default(),
+    );
     assert_eq!(found.report.parcels_skipped, 3);
     let alone = optics(
         &small_field(vec![parcel(10.0, 360.0)], 1e10),
         &fuel,
         &Band::monochromatic(3.4),
         &[Source::UNIT],
+        &OpticsOptions::default(),
     );
     assert_eq!(found.medium.k_ext[0].to_bits(), alone.medium.k_ext[0].to_bits());
-    let none = optics(&small_field(Vec::new(), 1e10), &fuel, &Band::monochromatic(3.4), &[Source::UNIT]);
+    let none = optics(
+        &small_field(Vec::new(), 1e10),
+        &fuel,
+        &Band::monochromatic(3.4),
+        &[Source::UNIT],
+        &OpticsOptions::default(),
+    );
     assert_eq!(none.medium.k_ext[0].to_bits(), 0);
     assert!(none.patterns[0].p11.is_empty());
 }
@@ -135,7 +161,7 @@ fn the_shipped_spray_is_opaque_in_its_core_and_scatters_forward() {
     let fuel = Fuel::named(HEPTANE).unwrap();
     let response = crate::light::band::Response::filtered_insb().unwrap();
     let band = Band::sample(&response, 16, true).unwrap();
-    let found = optics(&field, &fuel, &band, &[Source::UNIT, Source::RADIANCE]);
+    let found = optics(&field, &fuel, &band, &[Source::UNIT, Source::RADIANCE], &OpticsOptions::default());
     println!("{} parcels, {} cells, {:?}", field.parcels.len(), field.cells.len(), found.report);
     for (&ext, &sca) in found.medium.k_ext.iter().zip(&found.medium.k_sca) {
         assert!(ext.is_finite() && sca >= 0.0 && sca <= ext);
