@@ -23,6 +23,7 @@ mod polydisperse;
 mod precise;
 mod series;
 mod sums;
+mod together;
 mod trig;
 mod vector;
 

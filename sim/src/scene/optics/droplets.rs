@@ -167,6 +167,7 @@ impl Column {
         let mut radii = RADII[0];
         let mut values = self.averages(radii, BIN);
         let mut spheres = radii * self.bins;
+        let mut change_before = 0.0f64;
         loop {
             radii *= 2;
             // Midpoints of twice as many parts are all new: the mean of both rules uses all of them.
@@ -177,9 +178,12 @@ impl Column {
             for (value, finer) in values.iter_mut().zip(&finer) {
                 *value = mix(*value, *finer, 2.0 / 3.0);
             }
-            if change <= TARGET || radii >= RADII[1] {
-                return (values, spheres, change);
+            // Narrow lines alias at random: one small change may be luck (see `mie::lognormal`).
+            let error = change.max(0.5 * change_before);
+            if error <= TARGET || radii >= RADII[1] {
+                return (values, spheres, error);
             }
+            change_before = change;
             values = finer;
         }
     }

@@ -12,15 +12,17 @@ mod vapour;
 use super::field::{Gas, Parcel, SprayField};
 use crate::light::band::Band;
 use crate::light::fuel::Fuel;
-use crate::light::phase::{PhaseFunction, PhaseTable};
+use crate::light::phase::PhaseFunction;
 use crate::light::planck::photon_radiance;
 use crate::tracer::medium::{EMPTY, GridMedium};
 use droplets::DropletTable;
 use rayon::prelude::*;
 use skip::Choice;
 pub use skip::{Skip, Work};
-use std::sync::Arc;
 use vapour::VapourTable;
+
+/// Share of the error wanted of the coefficients that the cumulative distribution of a phase function may use.
+const PHASE_SHARE: f64 = 0.1;
 
 /// What emits in a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -114,9 +116,12 @@ pub struct OpticsReport {
     pub mie_error: f64,
     /// Mean cosine of each group: scattering-weighted mean of the exact ones; 0 where no phase function was tabulated.
     pub asymmetry: Vec<f64>,
-    /// Mean cosine of the tabulated phase function of each group: its distance from the exact one is the error of
-    /// the table.
+    /// Mean cosine of the phase function of each group as it is sampled.
     pub asymmetry_tabulated: Vec<f64>,
+    /// Most nodes of a phase function.
+    pub phase_nodes: usize,
+    /// Largest error of the cumulative distribution of a phase function.
+    pub phase_error: f64,
     /// Wavelengths outside the fuel's liquid table (its ends were used), µm.
     pub outside_liquid_um: Vec<f64>,
     /// Cells whose gas is outside the temperatures of the vapour table (its ends were used).
@@ -125,29 +130,18 @@ pub struct OpticsReport {
     pub parcels_skipped: usize,
 }
 
-/// The mean phase function of one group as a table over the scattering angle; empty where none was made.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Pattern {
-    /// Scattering angles from 0 to π, rad.
-    pub theta_rad: Vec<f64>,
-    /// Phase function, ½∫p dμ = 1.
-    pub p11: Vec<f64>,
-}
-
 /// A medium with what is known about its making.
 #[derive(Debug, Clone)]
 pub struct Optics {
     /// The coefficients.
     pub medium: GridMedium,
-    /// The phase function of each group as a table.
-    pub patterns: Vec<Pattern>,
     /// How it was made.
     pub report: OpticsReport,
 }
 
 /// Coefficients of a spray for the wavelengths of a band, one group per sample, and one channel per source.
 ///
-/// Channel 0 must be [`Source::UNIT`]. See [`optics`] for the same with tables and a report.
+/// Channel 0 must be [`Source::UNIT`]. See [`optics`] for the same with a report.
 pub fn medium(
     field: &SprayField,
     fuel: &Fuel,
@@ -158,7 +152,7 @@ pub fn medium(
     optics(field, fuel, band, sources, options).medium
 }
 
-/// [`medium`] with the phase functions as tables and a report. Runs on rayon's threads; the answer does not depend
+/// [`medium`] with a report. Runs on rayon's threads; the answer does not depend
 /// on their number.
 ///
 /// Emission of radiance channels is per µm at each group's wavelength: the band's weights come later. What cannot
@@ -232,12 +226,11 @@ pub fn optics(
         .par_iter()
         .zip(&choices)
         .map(|(&um, choice)| match choice {
-            Choice::Table => pattern::mean_pattern(parcels, fuel, um),
-            Choice::Isotropic(..) | Choice::Rayleigh(..) => pattern::Mean::default(),
+            Choice::Table => pattern::mean_phase(parcels, fuel, um, PHASE_SHARE * options.target_error),
+            Choice::Isotropic(..) => pattern::Mean::given(PhaseFunction::Isotropic),
+            Choice::Rayleigh(..) => pattern::Mean::given(PhaseFunction::Rayleigh),
         })
         .collect();
-    let phase =
-        made.iter().zip(&choices).map(|(mean, choice)| phase_function(&mean.pattern, *choice)).collect();
     let [low, high] = fuel.liquid_range_um();
     let [cold, hot] = fuel.vapour_range_k();
     let outside = |gas: &&Gas| gas.vapour_mol_m3 > 0.0 && !(cold..=hot).contains(&gas.temperature_k);
@@ -252,6 +245,8 @@ pub fn optics(
         mie_error: table.error(),
         asymmetry: made.iter().map(|mean| mean.asymmetry).collect(),
         asymmetry_tabulated: made.iter().map(|mean| mean.asymmetry_tabulated).collect(),
+        phase_nodes: made.iter().map(|mean| mean.nodes).max().unwrap_or(0),
+        phase_error: made.iter().map(|mean| mean.error).fold(0.0, f64::max),
         outside_liquid_um: um.iter().copied().filter(|um| !(low..=high).contains(um)).collect(),
         cells_outside_vapour_k: field.gas.iter().filter(outside).count(),
         parcels_skipped: field.parcels.iter().filter(|parcel| !droplets::counts(parcel)).count(),
@@ -266,9 +261,9 @@ pub fn optics(
         k_ext,
         k_sca,
         emission,
-        phase,
+        phase: made.into_iter().map(|mean| mean.phase).collect(),
     };
-    Optics { medium, patterns: made.into_iter().map(|mean| mean.pattern).collect(), report }
+    Optics { medium, report }
 }
 
 /// How the phase function of each group is to be made.
@@ -299,16 +294,6 @@ fn choices(
         Choice::new(albedo.min(1.0), size, target)
     };
     um.iter().enumerate().map(choice).collect()
-}
-
-/// The phase function as the tracer samples it; isotropic for a group that does not scatter.
-fn phase_function(pattern: &Pattern, choice: Choice) -> PhaseFunction {
-    match choice {
-        Choice::Isotropic(..) => PhaseFunction::Isotropic,
-        Choice::Rayleigh(..) => PhaseFunction::Rayleigh,
-        Choice::Table => PhaseTable::new(&pattern.theta_rad, &pattern.p11)
-            .map_or(PhaseFunction::Isotropic, |(table, _)| PhaseFunction::Table(Arc::new(table))),
-    }
 }
 
 /// Per parcel what one droplet contributes: `[sca | abs | emission of channel 0 | …]`, each over the groups, in m².

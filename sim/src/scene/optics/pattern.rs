@@ -1,117 +1,159 @@
-//! The angular pattern of a whole spray: mean of the Mie phase functions, weighted with scattering.
+//! The phase function of a whole spray at one wavelength: mean of the Mie patterns, weighted with scattering.
 
 use super::super::field::Parcel;
-use super::Pattern;
 use super::droplets::{counts, whole};
 use crate::light::fuel::Fuel;
-use crate::light::mie::{Direction, Sphere, amplitudes_towards, efficiencies};
+use crate::light::mie::{self, Sphere};
+use crate::light::phase::{PhaseFunction, mie as mie_phase};
 use std::f64::consts::PI;
 
-/// Width of a class of diameters in ln d: patterns of many sizes are averaged, so classes may be wide.
+/// Width of a class of diameters in ln d.
 const CLASS: f64 = 0.05;
-/// Number of angles, and the exponent of their spacing: steps of 0.05° at 0° and 2° at 180°.
-const ANGLES: usize = 361;
-const WARP: f64 = 4.0;
+/// Sizes that stand for a class: from, to. A parcel stands for droplets of nearly its diameter, never of exactly it.
+const SIZES: [usize; 2] = [1, 256];
+/// Diameters narrower than this in ln d are one size.
+const ONE_SIZE: f64 = 1e-9;
 
-/// The mean pattern at one wavelength with what is known about it; empty, with zeros, when nothing scatters.
-#[derive(Debug, Clone, Default)]
+/// The phase function of parcels at one wavelength with what is known about it.
+#[derive(Debug, Clone)]
 pub(super) struct Mean {
-    pub(super) pattern: Pattern,
-    /// Exact mean cosine, and that of the table.
+    pub(super) phase: PhaseFunction,
+    /// Nodes of the phase function.
+    pub(super) nodes: usize,
+    /// Exact mean cosine, and that of the phase function.
     pub(super) asymmetry: f64,
     pub(super) asymmetry_tabulated: f64,
+    /// Error of the cumulative distribution: of the nodes, and of the sizes by their last doubling.
+    pub(super) error: f64,
     /// Mie calculations it took.
     pub(super) spheres: usize,
 }
 
-/// The mean pattern of parcels at one wavelength.
-pub(super) fn mean_pattern(parcels: &[Parcel], fuel: &Fuel, um: f64) -> Mean {
-    let classes = classes(parcels);
-    let area: f64 = classes.iter().map(|class| class.1).sum();
-    if area <= 0.0 {
-        return Mean::default();
+impl Mean {
+    /// Of a group whose phase function is not computed.
+    pub(super) fn given(phase: PhaseFunction) -> Self {
+        let mean = phase.mean_cosine();
+        Self { phase, nodes: 0, asymmetry: mean, asymmetry_tabulated: mean, error: 0.0, spheres: 0 }
     }
-    let spheres = classes.len();
+}
+
+/// The mean phase function of parcels at one wavelength, to `target` in the cumulative distribution; isotropic when
+/// nothing scatters.
+pub(super) fn mean_phase(parcels: &[Parcel], fuel: &Fuel, um: f64, target: f64) -> Mean {
+    let classes = Classes::new(parcels);
+    let area: f64 = classes.areas.iter().sum();
+    if area <= 0.0 {
+        return Mean::given(PhaseFunction::Isotropic);
+    }
     let warm: f64 = parcels.iter().filter(|p| counts(p)).map(|p| p.area_m2() * p.temperature_k).sum();
     let (n, k) = fuel.liquid_index(um, warm / area);
-    let theta_rad = angles();
-    let towards: Vec<Direction> =
-        theta_rad.iter().filter_map(|&theta| Direction::from_radians(theta).ok()).collect();
-    let mut p11 = vec![0.0; theta_rad.len()];
-    let (mut scattered, mut forward) = (0.0, 0.0);
-    for (diameter_m, area) in classes {
-        let x = PI * diameter_m / (um * 1e-6);
-        let sphere = Sphere { size_parameter: x, n, k };
-        let (Ok(q), Ok(amplitudes)) = (efficiencies(x, n, k), amplitudes_towards(sphere, &towards)) else {
-            continue;
+    let (sum, error) = classes.converged(um, n, k, target);
+    match mie_phase::of_pattern(&sum.pattern, sum.forward / sum.scattered, mie_phase::DISTRIBUTION_ERROR) {
+        Ok(made) => Mean {
+            asymmetry: made.asymmetry,
+            asymmetry_tabulated: made.phase.mean_cosine(),
+            phase: made.phase,
+            nodes: made.nodes,
+            error: error + made.error,
+            spheres: sum.spheres,
+        },
+        // Nothing scatters: an index of exactly 1, or one without an answer.
+        Err(_) => Mean { spheres: sum.spheres, ..Mean::given(PhaseFunction::Isotropic) },
+    }
+}
+
+/// Geometric area of the droplets over classes of the diameter.
+struct Classes {
+    /// ln d in metres at the start of the first class.
+    first: f64,
+    /// Width in ln d; 0 when all have one size.
+    width: f64,
+    areas: Vec<f64>,
+}
+
+/// Sums over spheres.
+struct Sum {
+    pattern: mie::Pattern,
+    scattered: f64,
+    forward: f64,
+    spheres: usize,
+}
+
+impl Classes {
+    fn new(parcels: &[Parcel]) -> Self {
+        let known = || parcels.iter().filter(|parcel| counts(parcel));
+        let (small, large) = known()
+            .map(|p| p.diameter_m.ln())
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |r, d| (r.0.min(d), r.1.max(d)));
+        if small > large {
+            return Self { first: 0.0, width: 0.0, areas: Vec::new() };
+        }
+        let width = if large - small < ONE_SIZE { 0.0 } else { CLASS };
+        let mut areas = vec![0.0; if width > 0.0 { 1 + whole((large - small) / width) } else { 1 }];
+        for parcel in known() {
+            let class = if width > 0.0 { whole((parcel.diameter_m.ln() - small) / width) } else { 0 };
+            let last = areas.len() - 1;
+            areas[class.min(last)] += parcel.area_m2();
+        }
+        Self { first: small, width, areas }
+    }
+
+    /// With as many sizes per class as bring the error below `target`, and the error by the last doubling.
+    fn converged(&self, um: f64, n: f64, k: f64, target: f64) -> (Sum, f64) {
+        let mut sizes = SIZES[0];
+        let mut sum = self.sum(sizes, um, n, k);
+        if self.width <= 0.0 {
+            return (sum, 0.0);
+        }
+        loop {
+            // Middles of twice as many parts are all new: the mean of both uses all of them.
+            sizes *= 2;
+            let mut finer = self.sum(sizes, um, n, k);
+            let error = finer.pattern.distance(&sum.pattern);
+            finer.spheres += sum.spheres;
+            if error <= target || sizes >= SIZES[1] {
+                return (sum.and(finer), error);
+            }
+            sum = finer;
+        }
+    }
+
+    /// With the middles of `sizes` parts of each class; empty where a sphere has no answer.
+    fn sum(&self, sizes: usize, um: f64, n: f64, k: f64) -> Sum {
+        let (mut spheres, mut numbers) = (Vec::new(), Vec::new());
+        for (class, &area) in self.areas.iter().enumerate().filter(|class| *class.1 > 0.0) {
+            for part in 0..sizes {
+                let at = class as f64 + (part as f64 + 0.5) / sizes as f64;
+                let x = PI * (self.first + self.width * at).exp() / (um * 1e-6);
+                spheres.push(Sphere { size_parameter: x, n, k });
+                // Number of droplets ∝ area/x².
+                numbers.push(area / sizes as f64 / (x * x));
+            }
+        }
+        let count = spheres.len();
+        let (Ok(answers), Ok(pattern)) =
+            (mie::efficiencies_of_many(&spheres), mie::Pattern::of(&spheres, &numbers))
+        else {
+            return Sum { pattern: mie::Pattern::default(), scattered: 0.0, forward: 0.0, spheres: count };
         };
-        scattered += area * q.q_sca;
-        forward += area * q.q_sca * q.asymmetry;
-        // Number of droplets ∝ area/x²; C_sca p ∝ |S₁|² + |S₂|².
-        let number = 2.0 * area / (x * x);
-        for (sum, (s1, s2)) in p11.iter_mut().zip(amplitudes) {
-            *sum += number * (s1.norm_sqr() + s2.norm_sqr());
+        let (mut scattered, mut forward) = (0.0, 0.0);
+        for ((q, sphere), number) in answers.iter().zip(&spheres).zip(&numbers) {
+            let own = number * sphere.size_parameter * sphere.size_parameter * q.q_sca;
+            scattered += own;
+            forward += own * q.asymmetry;
+        }
+        Sum { pattern, scattered, forward, spheres: count }
+    }
+}
+
+impl Sum {
+    /// A third of this and two thirds of one with twice as many sizes, which counts the spheres of both.
+    fn and(self, finer: Self) -> Self {
+        Self {
+            pattern: self.pattern.scaled(1.0 / 3.0).and(&finer.pattern.scaled(2.0 / 3.0)),
+            scattered: (self.scattered + 2.0 * finer.scattered) / 3.0,
+            forward: (self.forward + 2.0 * finer.forward) / 3.0,
+            spheres: finer.spheres,
         }
     }
-    if scattered <= 0.0 {
-        return Mean { spheres, ..Mean::default() };
-    }
-    for p in &mut p11 {
-        *p /= scattered;
-    }
-    let (norm, mean) = moments(&theta_rad, &p11);
-    for p in &mut p11 {
-        *p /= norm;
-    }
-    let pattern = Pattern { theta_rad, p11 };
-    Mean { pattern, asymmetry: forward / scattered, asymmetry_tabulated: mean / norm, spheres }
-}
-
-/// Scattering angles, dense about the forward direction, the last one at most π.
-fn angles() -> Vec<f64> {
-    let mut theta: Vec<f64> =
-        (0..ANGLES).map(|i| PI * (WARP * i as f64 / (ANGLES - 1) as f64).exp_m1() / WARP.exp_m1()).collect();
-    theta[ANGLES - 1] = PI;
-    theta
-}
-
-/// Diameters in metres with the geometric area of their droplets.
-fn classes(parcels: &[Parcel]) -> Vec<(f64, f64)> {
-    let known = || parcels.iter().filter(|parcel| counts(parcel));
-    let (small, large) = known()
-        .map(|p| p.diameter_m.ln())
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |r, d| (r.0.min(d), r.1.max(d)));
-    if small > large {
-        return Vec::new();
-    }
-    let mut sums = vec![(0.0, 0.0); 1 + whole((large - small) / CLASS)];
-    for parcel in known() {
-        let class = whole((parcel.diameter_m.ln() - small) / CLASS).min(sums.len() - 1);
-        sums[class].0 += parcel.area_m2() * parcel.diameter_m.ln();
-        sums[class].1 += parcel.area_m2();
-    }
-    sums.into_iter().filter(|sum| sum.1 > 0.0).map(|(ln_d, area)| ((ln_d / area).exp(), area)).collect()
-}
-
-/// ½∫p sin θ dθ and ½∫p cos θ sin θ dθ of the straight pieces between the nodes, exactly.
-fn moments(theta: &[f64], p11: &[f64]) -> (f64, f64) {
-    let mut sums = (0.0, 0.0);
-    for (t, p) in theta.windows(2).zip(p11.windows(2)) {
-        // Four-point Gauss on a piece: sin and cos of at most 2° steps to rounding.
-        const RULE: [(f64, f64); 4] = [
-            (-0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
-            (-0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
-            (0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
-            (0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
-        ];
-        let half = 0.5 * (t[1] - t[0]);
-        for (node, weight) in RULE {
-            let share = 0.5 * (1.0 + node);
-            let at = t[0] + 2.0 * half * share;
-            let value = 0.5 * weight * half * at.sin() * (p[0] + share * (p[1] - p[0]));
-            sums.0 += value;
-            sums.1 += value * at.cos();
-        }
-    }
-    sums
 }
