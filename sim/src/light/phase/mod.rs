@@ -170,6 +170,8 @@ impl PhaseFunction {
 }
 
 #[cfg(test)]
+mod mie_tests;
+#[cfg(test)]
 mod slab;
 #[cfg(test)]
 mod tests;

@@ -2,15 +2,14 @@
 
 use super::inverse::{angle, versine};
 use super::*;
-use crate::light::mie as spheres;
-use crate::light::mie::{Direction, Sphere};
+use crate::light::mie::Sphere;
 use crate::light::quadrature::gauss_legendre;
 use proptest::prelude::*;
 
 /// Four spheres with numbers of droplets: a small spray.
-const SPRAY: ([f64; 4], [f64; 4]) = ([2.0, 6.5, 14.0, 31.0], [1.0, 0.3, 0.05, 0.01]);
+pub(super) const SPRAY: ([f64; 4], [f64; 4]) = ([2.0, 6.5, 14.0, 31.0], [1.0, 0.3, 0.05, 0.01]);
 
-fn spray() -> Vec<Sphere> {
+pub(super) fn spray() -> Vec<Sphere> {
     SPRAY.0.iter().map(|&size_parameter| Sphere { size_parameter, n: 1.38, k: 0.09 }).collect()
 }
 
@@ -233,89 +232,6 @@ fn bad_tables_are_refused() {
     assert!(matches!(mie::of_spheres(&[sphere], &[], 1e-4), Err(PhaseError::Length { .. })));
 }
 
-/// Two sources: the multiprecision cumulative distributions of 20 spheres, x from 1e-6 to 300.
-#[test]
-fn mie_distributions_agree_with_the_multiprecision_table() {
-    let text = include_str!("../../../tests/data/light/mie_phase_cdf.csv");
-    let rows: Vec<Vec<f64>> = text
-        .lines()
-        .skip(1)
-        .map(|line| line.split(',').skip(1).map(|field| field.parse().unwrap()).collect())
-        .collect();
-    for sphere_rows in rows.chunk_by(|p, q| p[..3] == q[..3]) {
-        let sphere = Sphere { size_parameter: sphere_rows[0][0], n: sphere_rows[0][1], k: sphere_rows[0][2] };
-        for (target, nodes) in [(1e-4, 256), (1e-5, 1024), (mie::DISTRIBUTION_ERROR, 4096)] {
-            let found = mie::of_spheres(&[sphere], &[1.0], target).unwrap();
-            assert!(found.error <= target && found.nodes <= nodes, "{sphere:?}: {} nodes", found.nodes);
-            assert!((found.phase.mean_cosine() - found.asymmetry).abs() < 1e-9, "{sphere:?}");
-            for row in sphere_rows {
-                let share = found.phase.within(row[3].to_radians().cos());
-                assert!((share - row[4]).abs() <= target, "{sphere:?} {} deg: {share} {}", row[3], row[4]);
-            }
-        }
-    }
-}
-
-/// The error between nodes that is stated is the one that there is, at 2000 angles that are no nodes.
-#[test]
-fn the_stated_error_of_the_distribution_is_the_true_one() {
-    for x in [0.5, 18.5, 92.4, 300.0] {
-        let sphere = Sphere { size_parameter: x, n: 1.38, k: 0.001 };
-        let angles: Vec<f64> = (1..2000).map(|i| PI * (f64::from(i) / 2000.0).powi(2)).collect();
-        let towards: Vec<Direction> =
-            angles.iter().map(|&theta| Direction::from_radians(theta).unwrap()).collect();
-        let exact = spheres::cumulative(sphere, &towards).unwrap();
-        for target in [1e-4, 1e-6] {
-            let found = mie::of_spheres(&[sphere], &[1.0], target).unwrap();
-            let worst = angles
-                .iter()
-                .zip(&exact)
-                .map(|(theta, exact)| (found.phase.within(theta.cos()) - exact).abs())
-                .fold(0.0, f64::max);
-            println!("x {x}: {} nodes, stated {:.2e}, found {worst:.2e}", found.nodes, found.error);
-            assert!(worst <= found.error && worst >= 0.3 * found.error, "{x}: {worst:e} {:e}", found.error);
-        }
-    }
-}
-
-/// Two sources: values and distribution of four spheres, from miepython 3 (S1_S2 in Bohren's norm) and a 400 point rule.
-#[test]
-fn a_mixture_of_spheres_agrees_with_miepython() {
-    let found = mie::of_spheres(&spray(), &SPRAY.1, mie::DISTRIBUTION_ERROR).unwrap();
-    assert!((found.asymmetry - 0.903_619_197_484_837_7).abs() < 1e-13);
-    let rows = [
-        (2.0_f64, 0.334_923_510_854_309_2, 967.083_503_179_61),
-        (5.0, 1.220_819_284_514_191_9, 304.236_143_700_732_27),
-        (10.0, 2.152_258_681_694_313_2, 105.570_911_424_110_65),
-        (20.0, 3.099_890_053_139_622, 20.219_563_254_050_453),
-        (45.0, 3.624_371_714_862_956, 3.088_813_950_309_709_6),
-        (90.0, 3.922_199_231_716_603_7, 0.232_553_366_782_553_14),
-        (135.0, 3.983_559_076_038_078_6, 0.110_937_606_433_269_75),
-        (170.0, 3.999_122_368_464_166, 0.106_855_357_638_373_41),
-    ];
-    // That program's amplitudes are twice Bohren's: its distribution ends at 4.
-    for (degrees, share, p11) in rows {
-        let cosine = degrees.to_radians().cos();
-        assert!((found.phase.within(cosine) - share / 4.0).abs() <= found.error, "{degrees}");
-        // The density inside a cell is a straight line: a few percent where it has the least to say.
-        let value = found.phase.value(cosine);
-        assert!((value / (p11 / 4.0) - 1.0).abs() < 0.1, "{degrees}: {value}");
-    }
-}
-
-/// A pattern that is not what it claims is noticed by its mean cosine.
-#[test]
-fn patterns_that_miss_their_mean_cosine_are_refused() {
-    let sphere = Sphere { size_parameter: 60.0, n: 1.4, k: 0.05 };
-    let asymmetry = spheres::efficiencies(sphere.size_parameter, sphere.n, sphere.k).unwrap().asymmetry;
-    let mut pattern = spheres::Pattern::of(&[sphere], &[1.0]).unwrap();
-    assert!(mie::of_pattern(&pattern, asymmetry, 1e-6).is_ok());
-    assert!(matches!(mie::of_pattern(&pattern, f64::NAN, 1e-4), Err(PhaseError::Unresolved { .. })));
-    pattern.cosines.truncate(40);
-    assert!(matches!(mie::of_pattern(&pattern, asymmetry, 1e-4), Err(PhaseError::Unresolved { .. })));
-    assert!(matches!(mie::of_pattern(&spheres::Pattern::default(), 0.0, 1e-4), Err(PhaseError::Zero)));
-}
-
 proptest! {
     /// Any table: nodes down to 1e-9 rad apart, values over twelve decades, with zeros.
     #[test]
@@ -343,9 +259,10 @@ proptest! {
             let phase = PhaseFunction::Table(Arc::new(table));
             let one = integral(&phase, 0.0, PI, |_| 1.0);
             let mean = 1.0 - integral(&phase, 0.0, PI, |v| v);
-            prop_assert!((one - 1.0).abs() < 1e-9, "{one}");
-            prop_assert!((mean - phase.mean_cosine()).abs() < 1e-8, "{mean}");
+            // Peaks, backward ones above all, are known as finely as 1 − cos θ is.
             let rounding = 1e-12 + 2.3e-16 * p11.iter().fold(0.0f64, |m, p| m.max(p / norm));
+            prop_assert!((one - 1.0).abs() < 1e-9 + rounding, "{one}");
+            prop_assert!((mean - phase.mean_cosine()).abs() < 1e-8 + rounding, "{mean}");
             for u in us {
                 let cosine = phase.sample(u);
                 prop_assert!((-1.0..=1.0).contains(&cosine));
