@@ -1,6 +1,8 @@
 //! Properties of fuels and nitrogen: the fits against the tables that they were fitted to, with the error that each
 //! states; and the laws that tie properties together.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
+
 use ditd_sim::fluid::GAS_CONSTANT_J_MOL_K;
 use ditd_sim::fluid::fuel::{FuelProperties, Property};
 use ditd_sim::fluid::nitrogen;
@@ -78,8 +80,10 @@ fn nitrogens_fits_have_the_errors_that_they_state_and_its_density_is_ideal() {
     for (index, wanted) in column("rho_kg_m3").iter().enumerate() {
         let found = nitrogen::density(column("T_K")[index], column("p_Pa")[index]).unwrap();
         worst = worst.max((found / wanted - 1.0).abs());
-        // ρ_ideal/ρ = Z; Z has five digits, and its gas constant and molar mass may differ in the sixth.
-        assert!((found / wanted - column("Z")[index]).abs() < 2e-5, "{index}: {found} {wanted}");
+        // ρ_ideal/ρ = Z: half a unit in the last digit of Z and of ρ, and 3e-6 between the older gas constant
+        // (8.314 510) and molar mass (28.013 48) of the table's equation of state and ours.
+        let z = column("Z")[index];
+        assert!((found / wanted - z).abs() < 1.4e-5, "{index}: {found} {wanted}");
     }
     assert!(worst < 0.0044, "{worst}");
 }
@@ -102,9 +106,9 @@ fn disagreement(fuel: &str, property: &str) -> f64 {
 #[test]
 fn the_slope_of_the_vapour_pressure_is_the_heat_of_vaporisation() {
     // Clausius–Clapeyron without approximation of the liquid's volume: h = T (v_g − v_l) dp/dT, with v_g of the ideal
-    // gas reduced by the second virial coefficient (Pitzer and Curl's B⁰ + ω B¹ in Abbott's form). At p below 5 % of
-    // p_c the truncated series is good to 1 % of v_g − v_ideal … 2 % of h; the rest is what independent correlations
-    // of p_sat and h_vap differ by.
+    // gas reduced by the second virial coefficient (Pitzer and Curl's B⁰ + ω B¹ in Abbott's form). Below 5 % of p_c the
+    // truncated series is good to 1 % of the volume; the rest is what independent correlations of p_sat and h_vap
+    // differ by. Found: 0.3 % (n-hexadecane) to 0.9 % (ethanol).
     for fuel in FuelProperties::all() {
         let constants = fuel.constants();
         let [from, to] = fuel.correlation(Property::VapourPressure).range_k;
@@ -125,7 +129,7 @@ fn the_slope_of_the_vapour_pressure_is_the_heat_of_vaporisation() {
             let liquid_m3_mol = constants.molar_mass_kg_mol / density;
             let found = t * (gas_m3_mol - liquid_m3_mol) * slope / constants.molar_mass_kg_mol;
             let wanted = fuel.at(Property::HeatOfVaporisation, t).unwrap();
-            let bound = 0.02 + disagreement(fuel.name(), "p_sat") + disagreement(fuel.name(), "h_vap");
+            let bound = 0.01 + disagreement(fuel.name(), "p_sat") + disagreement(fuel.name(), "h_vap");
             assert!((found / wanted - 1.0).abs() < bound, "{} {t} K: {found} {wanted}", fuel.name());
             seen += 1;
         }

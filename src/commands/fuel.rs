@@ -44,6 +44,9 @@ enum Thing {
     Air(Atmosphere, &'static str),
 }
 
+/// A table: what it holds, range in µm, range in K if there is one, and where it comes from.
+type Held<'a> = (&'static str, [f64; 2], Option<[f64; 2]>, &'a Provenance);
+
 /// One line of an answer: JSON key, words, value, unit; and why it is to be doubted or missing.
 struct Line {
     key: &'static str,
@@ -136,8 +139,8 @@ impl Thing {
         }
     }
 
-    /// Its tables: what they hold, range in µm, range in K if there is one, and where they come from.
-    fn tables(&self) -> Vec<(&'static str, [f64; 2], Option<[f64; 2]>, &Provenance)> {
+    /// Its tables.
+    fn tables(&self) -> Vec<Held<'_>> {
         match self {
             Self::Fuel(fuel, _) => vec![
                 ("liquid", fuel.liquid_range_um(), Some(fuel.density_range_k()), fuel.liquid_provenance()),
@@ -260,15 +263,21 @@ fn air_lines(atmosphere: Atmosphere, um: f64) -> Vec<Line> {
 
 /// A number with six significant digits, without needless zeros.
 fn short(value: f64) -> String {
-    let size = value.abs();
-    if size >= 1e-3 && size < 1e7 || value == 0.0 {
-        // Digits before the point, so that six are significant in all.
-        let digits = if value == 0.0 { 1 } else { size.log10().floor() as i32 + 1 };
-        let text = format!("{value:.*}", usize::try_from(6 - digits).unwrap_or(0));
-        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
-    } else {
-        format!("{value:.5e}")
+    let mut size = value.abs();
+    if value != 0.0 && !(1e-3..1e7).contains(&size) {
+        return format!("{value:.5e}");
     }
+    let mut decimals = 5usize;
+    while size >= 10.0 && decimals > 0 {
+        size /= 10.0;
+        decimals -= 1;
+    }
+    while size < 1.0 && decimals < 8 {
+        size *= 10.0;
+        decimals += 1;
+    }
+    let text = format!("{value:.decimals$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
 /// Name, ranges and sources.

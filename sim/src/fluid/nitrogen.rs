@@ -6,8 +6,8 @@ use crate::light::provenance::Provenance;
 use crate::light::table::{Records, TableError};
 use std::sync::LazyLock;
 
-/// Molar mass in kg/mol (CIAAW 2021, conventional: 2 × 14.007 g/mol).
-pub const MOLAR_MASS_KG_MOL: f64 = 0.028_014;
+/// Molar mass in kg/mol (NIST Chemistry WebBook: 28.0134 g/mol).
+pub const MOLAR_MASS_KG_MOL: f64 = 0.028_013_4;
 /// Range of pressures in Pa in which the fits hold within 1.1 % and the ideal gas within 0.43 %.
 pub const RANGE_PA: [f64; 2] = [1e5, 1e6];
 
