@@ -1,6 +1,8 @@
 //! Fuels and windows of the user's own, as scene files and simulated rigs name them: the same tables give the same bits
 //! as shipped ones, and every mistake is named with its file and row.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
+
 use ditd_sim::light::fuel::LIQUID_REFERENCE_K;
 use ditd_sim::scene::file::{MediumSource, Scene, SceneError, load};
 use ditd_sim::scene::library;

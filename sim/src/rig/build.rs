@@ -7,7 +7,7 @@ use super::config::{RigConfig, SprayConfig, SpraySource, WindowConfig};
 use super::radiometry::{Enclosure, Optics, PlateSurfaceSpectrum, Spectrum, WindowSpectrum};
 use super::sights::{ScaleNode, Sights};
 use crate::light::band::{Band, BandError, Response};
-use crate::light::fuel::FuelError;
+use crate::light::fuel::{Fuel, FuelError};
 use crate::light::window::{Plate as WindowPlate, WindowError};
 use crate::rig::RigError;
 use crate::scene::compact;
@@ -183,6 +183,9 @@ fn spray_sights(
     let options = DepositOptions { cell_m: Some(spray.cell_m), ..DepositOptions::default() };
     let (field, _) = deposit::field(&cfd, &options)?;
     let fuel = library::fuel(&spray.fuel, folder)?;
+    if library::is_file(&spray.fuel) {
+        covers(&fuel, band)?;
+    }
     let offset_k = spray.temperature_offset_k;
     let radiance = |species, offset_k| Source { species, strength: Strength::Radiance { offset_k } };
     let sources = [
@@ -213,6 +216,23 @@ fn spray_sights(
         rendered.push(ScaleNode { scale, operator });
     }
     Ok(Sights::new(rendered, offset_k)?)
+}
+
+/// A fuel of the user's own must be known where the filter lets light through; beside it, where only the filter's leak
+/// is, the ends of its table will do.
+fn covers(fuel: &Fuel, band: &Band) -> Result<(), RigError> {
+    let [from, to] = fuel.liquid_range_um();
+    let in_band = &band.wavelengths_um[..band.leak_from.unwrap_or(band.wavelengths_um.len())];
+    match in_band.iter().find(|um| !(from..=to).contains(um)) {
+        None => Ok(()),
+        Some(um) => Err(RigError::Config {
+            key: "rig.spray.fuel".to_owned(),
+            why: format!(
+                "the liquid's table of {} goes from {from} to {to} um; the filter also needs {um:.3} um",
+                fuel.name()
+            ),
+        }),
+    }
 }
 
 /// The spray's parcels and cells.
@@ -256,5 +276,26 @@ fn scaled(medium: &GridMedium, factor: f64) -> GridMedium {
         k_sca: times(&medium.k_sca),
         emission: times(&medium.emission),
         ..medium.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_own_fuel_must_cover_the_filter_but_not_its_leak() {
+        let band = Band::sample(&Response::filtered_insb().unwrap(), 8, true).unwrap();
+        assert!(band.leak_from.is_some());
+        let fuel = |from: f64, to: f64| {
+            let liquid = format!("wavelength_um,n,k\n{from},1.4,0.1\n{to},1.4,0.1\n");
+            let density =
+                crate::light::fuel::Density::from_csv("T_K,rho_liq_kg_m3\n280,700\n400,600\n").unwrap();
+            Fuel::from_csv("own", "", &liquid, "wavelength_um,sigma_m2_mol_300K\n3,1\n4,1\n", 0.1, density)
+                .unwrap()
+        };
+        assert!(covers(&fuel(3.0, 3.9), &band).is_ok());
+        let error = covers(&fuel(3.4, 3.9), &band).unwrap_err().to_string();
+        assert!(error.contains("3.4 to 3.9 um"), "{error}");
     }
 }
