@@ -14,10 +14,10 @@ pub struct Args {
     #[arg(value_name = "NAME|FILE")]
     names: Vec<String>,
     /// Temperature of liquid, vapour or window, in K
-    #[arg(long, value_name = "T", default_value_t = 300.0)]
+    #[arg(long, value_name = "T", allow_negative_numbers = true, default_value_t = 300.0)]
     temperature_k: f64,
     /// Wavelength, in µm
-    #[arg(long, value_name = "L", default_value_t = 3.4)]
+    #[arg(long, value_name = "L", allow_negative_numbers = true, default_value_t = 3.4)]
     wavelength_um: f64,
     /// Print JSON; what is not known at this temperature is null
     #[arg(long)]

@@ -11,6 +11,12 @@ pub enum TableError {
     /// There is no header line.
     #[error("the table is empty: a header line with column names is needed")]
     Empty,
+    /// The columns are not separated by commas.
+    #[error("line {line}: columns are separated by commas and decimals have a point; semicolons were found")]
+    Separator {
+        /// Line of the header.
+        line: usize,
+    },
     /// A column is not there.
     #[error("the table has no column `{wanted}`; it has {found}")]
     Column {
@@ -128,6 +134,9 @@ impl<'a> Records<'a> {
             }
             let found = fields(content);
             let Some(names) = &names else {
+                if found.len() == 1 && content.contains(';') {
+                    return Err(TableError::Separator { line });
+                }
                 if let Some((_, name)) = found.iter().enumerate().find(|(i, name)| found[..*i].contains(name))
                 {
                     return Err(TableError::Twice { line, column: (*name).to_owned() });
@@ -345,6 +354,7 @@ mod tests {
         let text = Table::parse("# a: comment\na,b\n\n1,2\n3,x\n").unwrap_err();
         assert_eq!(text.to_string(), "row 2 (line 5), column `b`: `x` is not a number");
         assert_eq!(Table::parse("a,b,a\n").unwrap_err(), TableError::Twice { line: 1, column: "a".into() });
+        assert_eq!(Table::parse("#\na;b\n1,5;2\n").unwrap_err(), TableError::Separator { line: 2 });
         let status = Table::parse("# status: sure\na\n").unwrap_err().to_string();
         assert_eq!(status, "line 1: status `sure` is none of measured, model, assumed");
         let table = Table::parse("a,b\n1,2\n1,3\n").unwrap();
@@ -369,6 +379,23 @@ mod tests {
         assert_eq!(table.provenance().source, "me");
         assert_eq!(table.over_temperature("x_"), [(250.5, "x_250.5K"), (300.0, "x_300K")]);
         assert_eq!(table.names()[0], "wavelength_um");
+    }
+
+    proptest::proptest! {
+        /// Whatever a file holds, reading it ends with a table or a reason, and what is possible is what was asked for.
+        #[test]
+        fn no_text_is_too_strange(text in "[a-z0-9#:,;.\\-\n \"]{0,80}", header in "(# status: m[a-z]{3,7}\n)?a,b\n") {
+            for text in [text.clone(), format!("{header}{text}")] {
+                let Ok(table) = Table::parse(&text) else { continue };
+                for name in table.names() {
+                    let above = table.possible(name, "above 0", |value| value > 0.0);
+                    proptest::prop_assert!(above.is_err() || above.is_ok_and(|c| c.iter().all(|v| *v > 0.0)));
+                    if let Ok(column) = table.ascending(name) {
+                        proptest::prop_assert!(column.windows(2).all(|pair| pair[0] < pair[1]) && column.len() > 1);
+                    }
+                }
+            }
+        }
     }
 
     #[test]

@@ -106,12 +106,12 @@ impl Material {
         }
     }
 
-    /// The user's own material: a table with the columns wavelength_um, n or several n_\<T\>K, and k; without k it does
+    /// The user's own material: a table with the columns wavelength_um, n or several `n_<T>K`, and k; without k it does
     /// not absorb.
     ///
     /// ```
     /// use ditd_sim::light::window::Material;
-    /// let glass = Material::from_csv("glass", "wavelength_um,n_300K,n_400K,k\\n3,1.5,1.4,0\\n4,1.5,1.4,1e-6\\n")?;
+    /// let glass = Material::from_csv("glass", "wavelength_um,n_300K,n_400K,k\n3,1.5,1.4,0\n4,1.5,1.4,1e-6\n")?;
     /// assert!((glass.index(3.5, 350.0).0 - 1.45).abs() < 1e-12);
     /// # Ok::<(), ditd_sim::light::table::TableError>(())
     /// ```
