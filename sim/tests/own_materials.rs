@@ -6,6 +6,7 @@
 use ditd_sim::light::fuel::LIQUID_REFERENCE_K;
 use ditd_sim::scene::file::{MediumSource, Scene, SceneError, load};
 use ditd_sim::scene::library;
+use ditd_sim::scene::optics::OpticsOptions;
 use std::path::Path;
 
 const FRAME: &str = "[camera]\nkind = \"pinhole\"\nposition_m = [0.0, -0.6, 0.0]\nlook_at_m = [0.0, 0.0, 0.0]\n\
@@ -41,7 +42,7 @@ fn scene(text: &str, files: &[(&str, &str)]) -> Result<Scene, SceneError> {
     }
     let path = folder.path().join("scene.toml");
     std::fs::write(&path, text).unwrap();
-    load(&path)?.with_spray()
+    load(&path)?.with_spray(&OpticsOptions::default())
 }
 
 #[test]
