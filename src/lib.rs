@@ -20,6 +20,7 @@ pub mod truth;
 pub mod result;
 pub mod session;
 pub mod stack;
+pub mod materials;
 pub mod tables;
 pub mod files;
 pub mod report;

@@ -36,6 +36,8 @@ enum Command {
     Mie(commands::mie::Args),
     /// Planck's law: tables in, tables out
     Planck(commands::planck::Args),
+    /// Fuels, window materials and air, shipped or your own: properties, ranges, sources
+    Fuel(commands::fuel::Args),
     /// Read a CFD spray and print its totals
     Import(commands::import::Args),
     /// Print the JSON schema of the campaign file
@@ -61,6 +63,7 @@ fn main() -> ExitCode {
         Command::Render(args) => commands::render::run(args),
         Command::Mie(args) => commands::mie::run(args),
         Command::Planck(args) => commands::planck::run(args),
+        Command::Fuel(args) => commands::fuel::run(args),
         Command::Import(args) => commands::import::run(args),
         Command::Schema => commands::schema::run(),
         Command::Completions { shell } => {

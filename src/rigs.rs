@@ -15,6 +15,7 @@ use ditd_sim::rig::chamber::World;
 use ditd_sim::rig::plate::Plate;
 use ditd_sim::rig::truth::{Sampling, Truth};
 use ditd_sim::rig::{fluke_418x as fluke_sim, quantum_9520 as quantum_sim};
+use ditd_sim::scene::library::OwnFile;
 use std::collections::HashMap;
 use std::io::Write;
 use std::path::Path;
@@ -114,6 +115,16 @@ pub fn prepare(
     };
     let frames = if view == View::Bench { FIRST_CALIBRATION_FRAME } else { 0 };
     Ok(Prepared { world, begins: Beginning { frames, ..Beginning::default() }, ..without_world(config) })
+}
+
+/// The files of the user's own fuel and windows that the simulated world is made from, read and checked: their paths
+/// from the campaign file's folder, and their texts.
+///
+/// # Errors
+///
+/// [`OpenError::Build`] naming the file and what is wrong.
+pub fn own_files(config: &Config, folder: &Path) -> Result<Vec<OwnFile>, OpenError> {
+    Ok(config.rig.as_ref().map_or(Ok(Vec::new()), |rig| build::own_files(rig, folder))?)
 }
 
 /// A rig whose simulated camera, if it has one, sees nothing: enough to make it safe.

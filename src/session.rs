@@ -18,7 +18,7 @@ use crate::rigs::{self, Beginning, OpenError, Prepared, View};
 use crate::run_folder::{FolderError, RunFolder, sha256};
 use crate::samples::Source;
 use ditd_drivers::error::DriverError;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// Why a session ended without its result.
 #[derive(Debug, thiserror::Error)]
@@ -141,9 +141,20 @@ impl Setting<'_> {
 ///
 /// [`SessionError`]; the rig is then in its safe state unless the error says otherwise.
 pub fn run(setting: &Setting<'_>, out: &Path) -> Result<String, SessionError> {
+    let own = rigs::own_files(setting.config, &setting.source.folder)?;
     let folder = RunFolder::create(out)?;
+    // Fuels and windows of the user's own go along, so that `resume` finds them where the campaign file says. Files
+    // that are not below the campaign file's folder stay where they are.
+    for (path, text) in own.iter().filter(|file| is_below(&file.0)) {
+        folder.write(&folder.root().join(path), text.as_bytes())?;
+    }
     folder.write(&folder.campaign(), setting.source.text.as_bytes())?;
     begin(setting, &folder)
+}
+
+/// Whether a relative path never leaves its folder.
+fn is_below(path: &Path) -> bool {
+    path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
 }
 
 /// Calibration and campaign in a folder that holds only its campaign file.

@@ -118,3 +118,48 @@ fn every_unknown_key_is_refused_in_every_table() {
         assert!(message.contains("zz_"), "line {}: {message}", index + 1);
     }
 }
+
+#[test]
+fn fuels_and_windows_of_your_own_are_checked_with_file_and_row() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| {
+        std::fs::create_dir_all(folder.path().join("mine")).unwrap();
+        std::fs::write(folder.path().join("mine").join(name), text).unwrap();
+    };
+    let files = |text: &str| {
+        let config = Config::parse("x.toml", text).unwrap_or_else(|error| panic!("{error}"));
+        ditd::rigs::own_files(&config, folder.path())
+    };
+    assert!(files(&quickstart()).unwrap().is_empty());
+    // The file itself is read when the rig is built, not with the campaign file.
+    let fuel = with("fuel = ", "fuel = \"mine/e85.toml\"");
+    assert!(files(&fuel).unwrap_err().to_string().contains("e85.toml: reading the file"));
+    let part = |name: &str, share: f64| format!("[[part]]\nfuel = \"{name}\"\nvolume_fraction = {share}\n");
+    write("e85.toml", &format!("{}{}", part("ethanol", 0.85), part("isooctane", 0.15)));
+    let found = files(&fuel).unwrap();
+    assert_eq!(found.len(), 1);
+    assert_eq!(found[0].0, Path::new("mine/e85.toml"));
+    write("e85.toml", &part("ethanol", 0.85));
+    let error = files(&fuel).unwrap_err();
+    assert_eq!(error.code(), 2);
+    assert!(error.to_string().contains("sum of the volume fractions"), "{error}");
+
+    let glass = "near = { material = \"mine/glass.csv\", thickness_m = 0.01, temperature_k = 450.0 }";
+    let window = with("near = ", glass);
+    write("glass.csv", "wavelength_um,n,k\n3,1.5,0\n4,1.5,-1\n");
+    let error = files(&window).unwrap_err().to_string();
+    assert!(error.contains("glass.csv: row 2 (line 3), column `k`: -1 is not possible"), "{error}");
+    write("glass.csv", "wavelength_um,n\n3,1.5\n4,1.5\n");
+    assert_eq!(files(&window).unwrap().len(), 1);
+
+    let message = refusal(&with("near = ", &glass.replace("mine/glass.csv", "sapphir")));
+    assert!(
+        message.contains("`rig.window.near`") && message.contains("did you mean `sapphire`?"),
+        "{message}"
+    );
+    let message = refusal(&with("fuel = ", "fuel = \"n-heptan\""));
+    assert!(
+        message.contains("`rig.spray.fuel`") && message.contains("did you mean `n-heptane`?"),
+        "{message}"
+    );
+}

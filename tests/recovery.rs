@@ -175,6 +175,32 @@ fn one_wish_pauses_with_status_6_and_a_resumed_run_completes() {
 }
 
 #[test]
+fn a_window_of_the_users_own_goes_along_with_the_run_and_is_found_when_it_resumes() {
+    let home = folder();
+    std::fs::create_dir(home.path().join("mine")).unwrap();
+    let table = "wavelength_um,n\n2.5,1.42\n6,1.39\n";
+    std::fs::write(home.path().join("mine/glass.csv"), table).unwrap();
+    let glass = "{ material = \"mine/glass.csv\", thickness_m = 0.01, temperature_k = 450.0 }";
+    let preset = preset().with("rig.window.near", glass).with("rig.window.far", glass);
+    let (mut source, config) = preset.parsed();
+    source.folder = home.path().to_owned();
+    let run = home.path().join("run");
+    let stop = StopFlag::default();
+    stop.escalate();
+    let paused = session::run(&common::setting(&source, &config, stop), &run).unwrap_err();
+    assert_eq!(paused.code(), 6, "{paused}");
+    std::fs::remove_dir_all(home.path().join("mine")).unwrap();
+    assert_eq!(std::fs::read_to_string(run.join("mine/glass.csv")).unwrap(), table);
+    resume(&run).unwrap();
+    assert_whole(&run);
+    // Without the file nothing begins, and no folder is left.
+    let other = home.path().join("other");
+    let refused = session::run(&common::setting(&source, &config, StopFlag::default()), &other).unwrap_err();
+    assert!(refused.code() == 2 && refused.to_string().contains("glass.csv"), "{refused}");
+    assert!(!other.exists());
+}
+
+#[test]
 fn two_wishes_stop_with_status_130_and_a_resumed_run_completes() {
     let stop = StopFlag::default();
     stop.escalate();

@@ -1,9 +1,10 @@
 //! `ditd check`: the plan, its time, bytes and limits. Touches no instrument.
 
-use super::{CommandResult, load, print};
+use super::{CommandError, CommandResult, load, print};
 use crate::config::Config;
 use crate::console::duration_words;
 use crate::plan::{Cost, Plan};
+use crate::rigs;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -23,7 +24,8 @@ pub struct Args {
 ///
 /// Status 2 when the file cannot be used.
 pub fn run(args: Args) -> CommandResult {
-    let (_, config) = load(&args.config)?;
+    let (source, config) = load(&args.config)?;
+    rigs::own_files(&config, &source.folder).map_err(|error| CommandError::usage(error.to_string()))?;
     let plan = Plan::of_map(&config);
     let cost = plan.cost(&config);
     let curve = (config.optics.calibration == "measure").then(|| Plan::of_standard_curve(&config)).flatten();

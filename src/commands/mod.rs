@@ -3,6 +3,7 @@
 pub mod calibrate;
 pub mod check;
 pub mod fit;
+pub mod fuel;
 pub mod import;
 pub mod schema;
 

@@ -3,8 +3,9 @@
 use super::{Config, Pace};
 use ditd_sim::light::band::Response;
 use ditd_sim::light::fuel::Fuel;
-use ditd_sim::light::window::Material;
+use ditd_sim::light::window::{Material, WindowError};
 use ditd_sim::rig::RigError;
+use ditd_sim::scene::library;
 
 /// Something that cannot be done as written.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -266,15 +267,18 @@ fn world(config: &Config, found: &mut Vec<Problem>) {
     if let Err(error) = Response::shipped(&response) {
         found.push(Problem { key: "rig.filter.name".to_owned(), message: error.to_string() });
     }
+    // Files of the user's own are read when the world is built; here no file is touched.
     if let Some(spray) = &rig.spray
+        && !library::is_file(&spray.fuel)
         && let Err(error) = Fuel::named(&spray.fuel)
     {
         found.push(Problem { key: "rig.spray.fuel".to_owned(), message: error.to_string() });
     }
-    for window in rig.window.iter().flat_map(|both| [&both.near, &both.far]) {
-        require(found, Material::named(&window.material).is_some(), "rig.window.near", || {
-            format!("unknown material {:?}; there are CaF2, sapphire, fused-silica", window.material)
-        });
+    for (key, window) in
+        rig.window.iter().flat_map(|both| [("rig.window.near", &both.near), ("rig.window.far", &both.far)])
+    {
+        let known = library::is_file(&window.material) || Material::named(&window.material).is_some();
+        require(found, known, key, || WindowError::Unknown { name: window.material.clone() }.to_string());
     }
     let c = &config.camera;
     require(found, (rig.view.rows, rig.view.columns) == (c.rows, c.columns), "rig.view.rows", || {

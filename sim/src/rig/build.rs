@@ -8,12 +8,13 @@ use super::radiometry::{Enclosure, Optics, PlateSurfaceSpectrum, Spectrum, Windo
 use super::sights::{ScaleNode, Sights};
 use crate::light::band::{Band, BandError, Response};
 use crate::light::fuel::{Fuel, FuelError};
-use crate::light::window::{Material, Plate as WindowPlate};
+use crate::light::window::{Plate as WindowPlate, WindowError};
 use crate::rig::RigError;
 use crate::scene::compact;
 use crate::scene::deposit::{self, DepositOptions};
 use crate::scene::field::CfdSpray;
 use crate::scene::import::{self, ImportOptions, SceneError, Time};
+use crate::scene::library::{self, OwnFile};
 use crate::scene::optics::{self, Source, Species, Strength};
 use crate::tracer::camera::{Camera, PixelFilter, Projection};
 use crate::tracer::error::TracerError;
@@ -79,8 +80,9 @@ pub fn world(
     let optics = match chamber {
         None => Optics::bench(spectrum, plate, &config.detector)?,
         Some(chamber) => {
-            let window =
-                |window: Option<&WindowConfig>| window_spectrum(window, &band, chamber.wall_temperature_k);
+            let window = |window: Option<&WindowConfig>| {
+                window_spectrum(window, &band, chamber.wall_temperature_k, folder)
+            };
             let enclosure = Enclosure {
                 near: window(config.window.as_ref().map(|both| &both.near))?,
                 far: window(config.window.as_ref().map(|both| &both.far))?,
@@ -109,6 +111,28 @@ pub fn world(
     })?)
 }
 
+/// The files of the user's own fuel and windows, read and checked; `folder` is where relative paths start.
+///
+/// # Errors
+///
+/// [`BuildError`] naming the key or file and what is wrong.
+pub fn own_files(config: &RigConfig, folder: &Path) -> Result<Vec<OwnFile>, BuildError> {
+    let mut files = Vec::new();
+    if let Some(spray) = &config.spray {
+        files.extend(library::fuel_and_files(&spray.fuel, folder)?.1);
+    }
+    for window in config.window.iter().flat_map(|both| [&both.near, &both.far]) {
+        files.extend(library::material_and_file(&window.material, folder).map_err(material_error)?.1);
+    }
+    files.sort();
+    files.dedup();
+    Ok(files)
+}
+
+fn material_error(error: WindowError) -> BuildError {
+    RigError::Config { key: "rig.window.material".to_owned(), why: error.to_string() }.into()
+}
+
 /// The wavelength samples of the filter, with its leak as samples of their own.
 fn band(config: &RigConfig) -> Result<Band, BuildError> {
     let columns = [config.filter.detector.as_str(), config.filter.name.as_str(), "lens_transmission_model"];
@@ -120,6 +144,7 @@ fn window_spectrum(
     window: Option<&WindowConfig>,
     band: &Band,
     wall_temperature_k: f64,
+    folder: &Path,
 ) -> Result<WindowSpectrum, BuildError> {
     let groups = band.wavelengths_um.len();
     let Some(window) = window else {
@@ -130,9 +155,9 @@ fn window_spectrum(
             temperature_k: wall_temperature_k,
         });
     };
-    let material = Material::named(&window.material).ok_or_else(|| RigError::Config {
+    let material = library::material(&window.material, folder).map_err(|error| RigError::Config {
         key: "rig.window.material".to_owned(),
-        why: format!("{:?} is unknown; there are CaF2, sapphire, fused-silica", window.material),
+        why: error.to_string(),
     })?;
     let plate = WindowPlate { material, thickness_m: window.thickness_m };
     let optics: Vec<_> =
@@ -157,7 +182,10 @@ fn spray_sights(
     let cfd = read_spray(spray, folder)?;
     let options = DepositOptions { cell_m: Some(spray.cell_m), ..DepositOptions::default() };
     let (field, _) = deposit::field(&cfd, &options)?;
-    let fuel = Fuel::named(&spray.fuel)?;
+    let fuel = library::fuel(&spray.fuel, folder)?;
+    if library::is_file(&spray.fuel) {
+        covers(&fuel, band)?;
+    }
     let offset_k = spray.temperature_offset_k;
     let radiance = |species, offset_k| Source { species, strength: Strength::Radiance { offset_k } };
     let sources = [
@@ -188,6 +216,23 @@ fn spray_sights(
         rendered.push(ScaleNode { scale, operator });
     }
     Ok(Sights::new(rendered, offset_k)?)
+}
+
+/// A fuel of the user's own must be known where the filter lets light through; beside it, where only the filter's leak
+/// is, the ends of its table will do.
+fn covers(fuel: &Fuel, band: &Band) -> Result<(), RigError> {
+    let [from, to] = fuel.liquid_range_um();
+    let in_band = &band.wavelengths_um[..band.leak_from.unwrap_or(band.wavelengths_um.len())];
+    match in_band.iter().find(|um| !(from..=to).contains(um)) {
+        None => Ok(()),
+        Some(um) => Err(RigError::Config {
+            key: "rig.spray.fuel".to_owned(),
+            why: format!(
+                "the liquid's table of {} goes from {from} to {to} um; the filter also needs {um:.3} um",
+                fuel.name()
+            ),
+        }),
+    }
 }
 
 /// The spray's parcels and cells.
@@ -231,5 +276,26 @@ fn scaled(medium: &GridMedium, factor: f64) -> GridMedium {
         k_sca: times(&medium.k_sca),
         emission: times(&medium.emission),
         ..medium.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_own_fuel_must_cover_the_filter_but_not_its_leak() {
+        let band = Band::sample(&Response::filtered_insb().unwrap(), 8, true).unwrap();
+        assert!(band.leak_from.is_some());
+        let fuel = |from: f64, to: f64| {
+            let liquid = format!("wavelength_um,n,k\n{from},1.4,0.1\n{to},1.4,0.1\n");
+            let density =
+                crate::light::fuel::Density::from_csv("T_K,rho_liq_kg_m3\n280,700\n400,600\n").unwrap();
+            Fuel::from_csv("own", "", &liquid, "wavelength_um,sigma_m2_mol_300K\n3,1\n4,1\n", 0.1, density)
+                .unwrap()
+        };
+        assert!(covers(&fuel(3.0, 3.9), &band).is_ok());
+        let error = covers(&fuel(3.4, 3.9), &band).unwrap_err().to_string();
+        assert!(error.contains("3.4 to 3.9 um"), "{error}");
     }
 }

@@ -53,7 +53,8 @@ pub struct RigConfig {
 pub struct SprayConfig {
     /// Where the spray comes from: `{ embedded = "NAME" }` or `{ path = "FILE" }`.
     pub source: SpraySource,
-    /// Name of the fuel.
+    /// Name of a shipped fuel, or the path of a fuel of your own (`.toml`, docs/MATERIALS.md), relative to the campaign
+    /// file.
     pub fuel: String,
     /// Time after the start of injection, in seconds; absent = the only or last time of the source.
     pub time_s: Option<f64>,
@@ -119,7 +120,8 @@ pub struct WindowsConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WindowConfig {
-    /// Name of the material, for instance `caf2`.
+    /// Name of a shipped material, for instance `caf2`, or the path of a table of your own (`.csv`), relative to the
+    /// campaign file.
     pub material: String,
     /// Thickness, in metres.
     pub thickness_m: f64,

@@ -107,13 +107,13 @@ impl Lights {
             plate_k,
             walls_k,
             medium_k,
-            windows.near.map(|w| w.temperature_k),
-            windows.far.map(|w| w.temperature_k),
+            windows.near.as_ref().map(|w| w.temperature_k),
+            windows.far.as_ref().map(|w| w.temperature_k),
             windows.lab_temperature_k,
         ];
         let spectral = scene.band.is_some();
         let at = |um: f64, t: Option<f64>| t.map_or(0.0, |t| photon_radiance(um, t));
-        let optics = |window: Option<WindowSource>, um: f64| {
+        let optics = |window: Option<&WindowSource>, um: f64| {
             window.map_or(OPENING, |w| w.plate.optics(um, w.temperature_k))
         };
         let mut samples: Vec<Sample> = band
@@ -128,7 +128,7 @@ impl Lights {
                     Some(t) if spectral && t > 0.0 => weight * photon_radiance(um, t),
                     _ => weight,
                 });
-                let [near, far] = [windows.near, windows.far].map(|w| optics(w, um));
+                let [near, far] = [&windows.near, &windows.far].map(|w| optics(w.as_ref(), um));
                 Sample { weight, near, far, share, radiance }
             })
             .collect();

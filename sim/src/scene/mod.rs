@@ -5,5 +5,6 @@ pub mod deposit;
 pub mod field;
 pub mod file;
 pub mod import;
+pub mod library;
 pub mod lights;
 pub mod optics;

@@ -8,8 +8,9 @@ use crate::light::phase::truncation::Truncation;
 use crate::scene::deposit::{self, DepositOptions, Move, Placement};
 use crate::scene::import::{self, ImportOptions, Time};
 use crate::scene::optics::{Optics, OpticsOptions, OpticsReport, Source};
-use crate::scene::{compact, optics};
+use crate::scene::{compact, library, optics};
 use crate::tracer::image::GROUPS_MAX;
+use std::path::Path;
 
 /// Largest error of band emissivities that automatic sampling admits.
 const EMISSIVITY_ERROR: f64 = 1e-3;
@@ -50,9 +51,11 @@ fn spectral(
     let band = band.ok_or_else(|| {
         wrong("[medium] kind \"cfd\" needs a [band]: its coefficients depend on the wavelength".to_owned())
     })?;
-    let fuel = Fuel::named(&source.fuel).map_err(|e| wrong(format!("[medium] fuel: {e}")))?;
+    let folder = source.scene.parent().unwrap_or(Path::new(""));
+    let fuel = library::fuel(&source.fuel, folder).map_err(|e| wrong(format!("[medium] fuel: {e}")))?;
     let mut notes = Vec::new();
     let samples = samples(band, &fuel, &mut notes).map_err(wrong)?;
+    notes.extend(outside(&fuel, &samples));
     let spray = if source.embedded {
         let spray = compact::shipped().map_err(unread)?;
         if let Some(t) = source.time_s.filter(|t| (t - spray.time_s).abs() > SAME_TIME * spray.time_s) {
@@ -109,6 +112,20 @@ fn spectral(
         notes.push(told(&cuts.iter().collect::<Vec<_>>(), degrees));
     }
     Ok((MediumSource::Spectral(Box::new(medium), samples), report, notes))
+}
+
+/// What the user should know when the band reaches beyond the table of the liquid.
+fn outside(fuel: &Fuel, band: &Band) -> Option<String> {
+    let [from, to] = fuel.liquid_range_um();
+    let beyond = band.wavelengths_um.iter().filter(|um| !(from..=to).contains(um)).count();
+    (beyond > 0).then(|| {
+        format!(
+            "fuel {}: {beyond} of {} wavelengths of the band lie outside the liquid's table ({from:.3} to {to:.3} um); \
+             its ends are used there",
+            fuel.name(),
+            band.len()
+        )
+    })
 }
 
 /// The spectral groups of a fuel in a band.

@@ -40,7 +40,7 @@ pub struct CfdSource {
     /// The time wanted, in seconds; the last one if not given.
     #[serde(default)]
     pub time_s: Option<f64>,
-    /// Name of the fuel.
+    /// Name of a shipped fuel, or the path of a fuel of the user's own (`.toml`), relative to the scene file.
     pub fuel: String,
     /// Place of the injector's tip in the CFD's coordinates.
     #[serde(default)]

@@ -4,7 +4,8 @@
 
 use super::tables::{LabTable, WindowTable};
 use super::{MediumSource, Reader, Scene, SceneError};
-use crate::light::window::{Material, Plate};
+use crate::light::window::Plate;
+use crate::scene::library;
 use crate::tracer::plate::PlateShape;
 use crate::tracer::shape::Shape;
 
@@ -13,7 +14,7 @@ use crate::tracer::shape::Shape;
 const TILT_MAX_DEG: f64 = 20.0;
 
 /// A plane window.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct WindowSource {
     /// Material and thickness.
     pub plate: Plate,
@@ -22,7 +23,7 @@ pub struct WindowSource {
 }
 
 /// The windows of a scene; at most one on each side.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Windows {
     /// Between camera and medium.
     pub near: Option<WindowSource>,
@@ -121,13 +122,8 @@ impl Reader<'_> {
         along: Vector,
         scene: &Scene,
     ) -> Result<WindowSource, SceneError> {
-        let material = Material::named(&table.material).ok_or_else(|| {
-            let text = format!(
-                "[window] material {:?} is unknown; there are CaF2, sapphire, fused-silica",
-                table.material
-            );
-            self.wrong_in(n, text)
-        })?;
+        let material = library::material(&table.material, self.folder)
+            .map_err(|error| self.wrong_in(n, format!("[window] material: {error}")))?;
         if !(table.thickness_m >= 0.0 && table.thickness_m.is_finite()) {
             return Err(self.wrong_in(n, "[window] thickness_m must be finite and not negative"));
         }
