@@ -48,13 +48,17 @@ pub(super) fn mean_phase(parcels: &[Parcel], fuel: &Fuel, um: f64, target: f64) 
     let warm: f64 = parcels.iter().filter(|p| counts(p)).map(|p| p.area_m2() * p.temperature_k).sum();
     let (n, k) = fuel.liquid_index(um, warm / area);
     let (sum, error) = classes.converged(um, n, k, target);
-    match mie_phase::of_pattern(&sum.pattern, sum.forward / sum.scattered, mie_phase::DISTRIBUTION_ERROR) {
+    // Judged by its own mean cosine: one that is off from the exact one is an error to report, no reason to scatter
+    // isotropically.
+    let own = sum.pattern.mean_cosine();
+    let exact = sum.forward / sum.scattered;
+    match mie_phase::of_pattern(&sum.pattern, own, mie_phase::DISTRIBUTION_ERROR) {
         Ok(made) => Mean {
-            asymmetry: made.asymmetry,
+            asymmetry: exact,
             asymmetry_tabulated: made.phase.mean_cosine(),
             phase: made.phase,
             nodes: made.nodes,
-            error: error + made.error,
+            error: error + made.error + (exact - own).abs(),
             spheres: sum.spheres,
         },
         // Nothing scatters: an index of exactly 1, or one without an answer.
