@@ -112,7 +112,10 @@ fn temperatures(table: &mut TextTable, inverse: &Inverse, between: bool) -> Comm
         let limit = if inverse.logarithm { "finite" } else { "finite and above 0" };
         let column = inverse.column;
         found.push(t.ok_or_else(|| {
-            table.bad_row(row, format!("{column} = {value} has no temperature: it must be {limit}, and in reach"))
+            table.bad_row(
+                row,
+                format!("{column} = {value} has no temperature: it must be {limit}, and in reach"),
+            )
         })?);
     }
     table.set("T_K", &found);

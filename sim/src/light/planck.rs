@@ -107,11 +107,8 @@ fn inverse(first: f64, wavelength_um: f64, value: f64) -> Option<f64> {
     }
     let square = wavelength_um * wavelength_um;
     let ratio = first / square / square / value;
-    let x = if ratio.is_finite() {
-        ratio.ln_1p()
-    } else {
-        first.ln() - 4.0 * wavelength_um.ln() - value.ln()
-    };
+    let x =
+        if ratio.is_finite() { ratio.ln_1p() } else { first.ln() - 4.0 * wavelength_um.ln() - value.ln() };
     temperature_of(wavelength_um, x)
 }
 
@@ -335,7 +332,10 @@ mod tests {
             assert_close(photon_exitance_band(a, b, t), m, bound(24.0), &what);
             assert_close(d_photon_exitance_band_dt(a, b, t), dm, bound(24.0), &what);
             assert_close(energy_exitance_band(a, b, t), energy, bound(24.0), &what);
-            assert!((ln_photon_exitance(a, t) - ln_j).abs() <= 4.0 * ULP * ln_j.abs() + bound(12.0), "{what}");
+            assert!(
+                (ln_photon_exitance(a, t) - ln_j).abs() <= 4.0 * ULP * ln_j.abs() + bound(12.0),
+                "{what}"
+            );
             let ln_found = ln_photon_exitance_band(a, b, t);
             assert!((ln_found - ln_m).abs() <= 4.0 * ULP * ln_m.abs() + bound(24.0), "{what}");
             let back = |found: Option<f64>, allowed: f64| {
@@ -352,7 +352,10 @@ mod tests {
             }
             let (x_a, x_b) = (exponent(a, t), exponent(b, t));
             back(inverse_ln_photon_exitance(a, ln_j), bound(10.0) + ULP * ln_j.abs() / x_a.max(1.0));
-            back(inverse_ln_photon_exitance_band(a, b, ln_m), bound(30.0) + 2.0 * ULP * ln_m.abs() / x_b.max(1.0));
+            back(
+                inverse_ln_photon_exitance_band(a, b, ln_m),
+                bound(30.0) + 2.0 * ULP * ln_m.abs() / x_b.max(1.0),
+            );
         }
     }
 }

@@ -169,11 +169,9 @@ mod tests {
         let peak = adaptive(|x| 1e-3 / (x * x + 1e-6), -1.0, 2.0, 1e-12);
         let kink = adaptive(|x: f64| (x - 0.3).abs(), 0.0, 1.0, 1e-10);
         let root = adaptive(f64::sqrt, 0.0, 1.0, 1e-10);
-        for (found, exact) in [
-            (peak, 2e3f64.atan() + 1e3f64.atan()),
-            (kink, 0.5 * (0.09 + 0.49)),
-            (root, 2.0 / 3.0),
-        ] {
+        for (found, exact) in
+            [(peak, 2e3f64.atan() + 1e3f64.atan()), (kink, 0.5 * (0.09 + 0.49)), (root, 2.0 / 3.0)]
+        {
             assert!((found.value - exact).abs() <= found.error, "{found:?} {exact}");
             assert!(found.error <= 1e-10 * exact && found.evaluations < 5000, "{found:?}");
         }

@@ -114,7 +114,11 @@ fn temperature(lam1_um: f64, lam2_um: f64, excess: impl Fn(&BandIntegral) -> f64
         if gap == 0.0 {
             return Some(t);
         }
-        if gap > 0.0 { high = t } else { low = t }
+        if gap > 0.0 {
+            high = t
+        } else {
+            low = t
+        }
         if high <= low * (1.0 + 2.0 * f64::EPSILON) {
             // At an end of the range there is no answer.
             let inside = low > TEMPERATURES_K[0] && high < TEMPERATURES_K[1];
@@ -141,7 +145,7 @@ fn equivalent_step(slope: f64, gap: f64) -> f64 {
     for _ in 0..20 {
         let small = (-x).exp();
         let step = (x - slope * -(-x).exp_m1()) / (1.0 - slope * small);
-        if !(step.abs() > 1e-12 * x) {
+        if step.is_nan() || step.abs() <= 1e-12 * x {
             break;
         }
         x = (x - step).max(0.25 * x).max(1e-10);
