@@ -8,8 +8,10 @@ use std::path::PathBuf;
 /// Arguments of `ditd planck`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Table with T_K and lam_um, or T_K, lam1_um and lam2_um, or lam_um, T_O_K, T_E_K and sigma_s_over_sigma_a;
-    /// `-` is standard input. Other columns are carried through
+    /// Table with T_K and lam_um, or T_K, lam1_um and lam2_um, or lam_um, T_O_K, T_E_K and sigma_s_over_sigma_a.
+    /// Without T_K the temperature is found from L_photon_per_s_m2_sr_um, j_photon_per_s_m2_um or ln_j (between two
+    /// wavelengths: L_photon_per_s_m2_sr, M_photon_per_s_m2 or ln_M). `-` is standard input. Other columns are carried
+    /// through
     #[arg(value_name = "FILE.csv")]
     file: PathBuf,
     /// Print a list of JSON objects instead
@@ -34,6 +36,14 @@ fn complete(table: &mut TextTable) -> CommandResult {
     if cloud {
         return apparent(table);
     }
+    if !table.has("T_K") {
+        let known = if between { &BAND_INVERSES[..] } else { &SPECTRAL_INVERSES[..] };
+        if (at || between)
+            && let Some(inverse) = known.iter().find(|inverse| table.has(inverse.column))
+        {
+            return temperatures(table, inverse, between);
+        }
+    }
     if at {
         spectral(table)?;
     }
@@ -41,6 +51,88 @@ fn complete(table: &mut TextTable) -> CommandResult {
         band(table)?;
     }
     Ok(())
+}
+
+/// A column that a temperature follows from, with the wavelengths [λ] or [λ₁, λ₂] in µm.
+struct Inverse {
+    column: &'static str,
+    /// Whether the column is a logarithm: may be negative.
+    logarithm: bool,
+    temperature: fn([f64; 2], f64) -> Option<f64>,
+}
+
+const SPECTRAL_INVERSES: [Inverse; 3] = [
+    Inverse {
+        column: "L_photon_per_s_m2_sr_um",
+        logarithm: false,
+        temperature: |[um, _], value| planck::inverse_photon_radiance(um, value),
+    },
+    Inverse {
+        column: "j_photon_per_s_m2_um",
+        logarithm: false,
+        temperature: |[um, _], value| planck::inverse_photon_exitance(um, value),
+    },
+    Inverse {
+        column: "ln_j",
+        logarithm: true,
+        temperature: |[um, _], value| planck::inverse_ln_photon_exitance(um, value),
+    },
+];
+
+const BAND_INVERSES: [Inverse; 3] = [
+    Inverse {
+        column: "L_photon_per_s_m2_sr",
+        logarithm: false,
+        temperature: |[a, b], value| planck::inverse_photon_radiance_band(a, b, value),
+    },
+    Inverse {
+        column: "M_photon_per_s_m2",
+        logarithm: false,
+        temperature: |[a, b], value| planck::inverse_photon_exitance_band(a, b, value),
+    },
+    Inverse {
+        column: "ln_M",
+        logarithm: true,
+        temperature: |[a, b], value| planck::inverse_ln_photon_exitance_band(a, b, value),
+    },
+];
+
+/// Adds T_K.
+fn temperatures(table: &mut TextTable, inverse: &Inverse, between: bool) -> CommandResult {
+    let um: Vec<[f64; 2]> = if between {
+        limits(table, false)?
+    } else {
+        positive(table, "lam_um", false)?.into_iter().map(|um| [um, um]).collect()
+    };
+    let values = table.numbers(inverse.column)?;
+    let mut found = Vec::with_capacity(values.len());
+    for (row, (um, value)) in um.into_iter().zip(values).enumerate() {
+        let allowed = value.is_finite() && (inverse.logarithm || value > 0.0);
+        let t = allowed.then(|| (inverse.temperature)(um, value)).flatten();
+        let limit = if inverse.logarithm { "finite" } else { "finite and above 0" };
+        let column = inverse.column;
+        found.push(t.ok_or_else(|| {
+            table.bad_row(
+                row,
+                format!("{column} = {value} has no temperature: it must be {limit}, and in reach"),
+            )
+        })?);
+    }
+    table.set("T_K", &found);
+    Ok(())
+}
+
+/// The columns lam1_um and lam2_um.
+fn limits(table: &TextTable, empty_allowed: bool) -> Result<Vec<[f64; 2]>, CommandError> {
+    let (lam1, lam2) = (positive(table, "lam1_um", true)?, positive(table, "lam2_um", false)?);
+    let bad = |row: &usize| lam1[*row] > lam2[*row] || (!empty_allowed && lam1[*row] >= lam2[*row]);
+    match (0..table.len()).find(bad) {
+        Some(row) => {
+            let relation = if empty_allowed { "above" } else { "not below" };
+            Err(table.bad_row(row, format!("lam1_um = {} is {relation} lam2_um = {}", lam1[row], lam2[row])))
+        }
+        None => Ok(lam1.into_iter().zip(lam2).map(|(a, b)| [a, b]).collect()),
+    }
 }
 
 /// A column whose values must be finite and at or above 0 (temperatures), or above it (wavelengths).
@@ -83,11 +175,7 @@ fn spectral(table: &mut TextTable) -> CommandResult {
 
 fn band(table: &mut TextTable) -> CommandResult {
     let t = positive(table, "T_K", true)?;
-    let (lam1, lam2) = (positive(table, "lam1_um", true)?, positive(table, "lam2_um", false)?);
-    if let Some(row) = (0..table.len()).find(|&row| lam1[row] > lam2[row]) {
-        return Err(table.bad_row(row, format!("lam1_um = {} is above lam2_um = {}", lam1[row], lam2[row])));
-    }
-    let rows: Vec<[f64; 3]> = lam1.into_iter().zip(lam2).zip(t).map(|((a, b), t)| [a, b, t]).collect();
+    let rows: Vec<[f64; 3]> = limits(table, true)?.into_iter().zip(t).map(|([a, b], t)| [a, b, t]).collect();
     let columns: [Column<[f64; 3]>; 6] = [
         ("ln_M", |r| planck::ln_photon_exitance_band(r[0], r[1], r[2])),
         ("M_photon_per_s_m2", |r| planck::photon_exitance_band(r[0], r[1], r[2])),
@@ -148,6 +236,41 @@ mod tests {
         assert!(between.numbers("M_photon_per_s_m2").unwrap()[1] == 0.0);
         let cloud = completed("lam_um,T_O_K,T_E_K,sigma_s_over_sigma_a\n3.4,449,400,0.7\n").unwrap();
         assert!((cloud.numbers("T_A_eq12_K").unwrap()[0] - 433.755_439_647_657_1).abs() < 1e-11);
+    }
+
+    #[test]
+    fn temperatures_come_back_from_what_they_gave() {
+        let at = completed("T_K,lam_um\n300,3.4\n4.2,10\n1e6,0.2\n").unwrap();
+        let between = completed("T_K,lam1_um,lam2_um\n300,3,5\n1e3,0.5,500\n40,3.4,3.400000001\n").unwrap();
+        let without = |table: &TextTable, wavelengths: &[&str], column: &str| {
+            let names = [wavelengths, &[column]].concat();
+            let columns: Vec<Vec<f64>> = names.iter().map(|name| table.numbers(name).unwrap()).collect();
+            let rows = (0..table.len()).map(|row| {
+                columns.iter().map(|c| format!("{:e}", c[row])).collect::<Vec<String>>().join(",")
+            });
+            std::iter::once(names.join(",")).chain(rows).collect::<Vec<String>>().join("\n")
+        };
+        for (table, wavelengths, known) in [
+            (&at, &["lam_um"][..], SPECTRAL_INVERSES.map(|i| i.column)),
+            (&between, &["lam1_um", "lam2_um"], BAND_INVERSES.map(|i| i.column)),
+        ] {
+            for column in known {
+                let back = completed(&without(table, wavelengths, column)).unwrap();
+                for (found, t) in back.numbers("T_K").unwrap().iter().zip(table.numbers("T_K").unwrap()) {
+                    // Stated at the inverses: 30 · 2⁻⁵³, and 2⁻⁵² |ln M| for the logarithms of the hot row.
+                    assert!((found / t - 1.0).abs() < 2e-14, "{column}: {found} {t}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_has_no_temperature_is_named() {
+        let message = |text| completed(text).unwrap_err().message;
+        assert!(message("lam_um,ln_j\n3.4,10\n3.4,inf\n").starts_with("t, row 2: ln_j = inf has no temp"));
+        assert!(message("lam1_um,lam2_um,M_photon_per_s_m2\n3,5,0\n").starts_with("t, row 1: M_photon"));
+        assert!(message("lam1_um,lam2_um,M_photon_per_s_m2\n3,3,1\n").contains("not below lam2_um = 3"));
+        assert!(message("lam_um\n3.4\n").contains("no column `T_K`"));
     }
 
     #[test]

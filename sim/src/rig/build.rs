@@ -3,10 +3,12 @@
 //! Heavy (it renders) and pure: no clock, no tokio; files come through a function that the caller hands in.
 
 use super::chamber::{World, WorldParts};
-use super::config::{RigConfig, SprayConfig, SpraySource, WindowConfig};
+use super::config::{
+    FilterConfig, RigConfig, Sampling, SamplingWord, SprayConfig, SpraySource, WindowConfig,
+};
 use super::radiometry::{Enclosure, Optics, PlateSurfaceSpectrum, Spectrum, WindowSpectrum};
 use super::sights::{ScaleNode, Sights};
-use crate::light::band::{Band, BandError, Response};
+use crate::light::band::{Absorbers, Band, BandError, Response};
 use crate::light::fuel::{Fuel, FuelError};
 use crate::light::window::{Plate as WindowPlate, WindowError};
 use crate::rig::RigError;
@@ -25,6 +27,9 @@ use std::path::Path;
 
 /// The spray that is part of the program.
 pub const EMBEDDED: &str = compact::SHIPPED;
+
+/// Largest error of band emissivities that automatic sampling admits.
+const EMISSIVITY_ERROR: f64 = 1e-3;
 
 /// Why a world cannot be built.
 #[derive(Debug, thiserror::Error)]
@@ -69,7 +74,7 @@ pub fn world(
     progress: &(dyn Fn(&str, f64) + Sync),
 ) -> Result<World, BuildError> {
     config.validate()?;
-    let band = band(config)?;
+    let band = band(config, folder)?;
     let groups = band.wavelengths_um.len();
     let spectrum = Spectrum { wavelengths_um: band.wavelengths_um.clone(), weights: band.weights.clone() };
     let plate = PlateSurfaceSpectrum {
@@ -133,10 +138,46 @@ fn material_error(error: WindowError) -> BuildError {
     RigError::Config { key: "rig.window.material".to_owned(), why: error.to_string() }.into()
 }
 
+/// The response of camera, lens and filter: all that `filter` names, multiplied.
+///
+/// # Errors
+///
+/// [`BuildError`] naming the column or file that cannot be used.
+pub fn response(filter: &FilterConfig, folder: &Path) -> Result<Response, BuildError> {
+    let mut factors = Vec::new();
+    let named: Vec<&str> = filter.detector.iter().chain(&filter.name).map(String::as_str).collect();
+    if !named.is_empty() {
+        factors.push(Response::shipped(&[named, vec!["lens_transmission_model"]].concat())?);
+    }
+    for file in &filter.response {
+        let unusable = |why: String| RigError::Config {
+            key: "rig.filter.response".to_owned(),
+            why: format!("{}: {why}", file.display()),
+        };
+        let text = std::fs::read_to_string(folder.join(file)).map_err(|error| unusable(error.to_string()))?;
+        factors.push(Response::from_csv(&text).map_err(|error| unusable(error.to_string()))?);
+    }
+    match factors.len() {
+        // One curve stays as it is, to the bit.
+        1 => Ok(factors.remove(0)),
+        _ => Ok(Response::product(&factors)?),
+    }
+}
+
 /// The wavelength samples of the filter, with its leak as samples of their own.
-fn band(config: &RigConfig) -> Result<Band, BuildError> {
-    let columns = [config.filter.detector.as_str(), config.filter.name.as_str(), "lens_transmission_model"];
-    Ok(Band::sample(&Response::shipped(&columns)?, config.filter.samples, true)?)
+fn band(config: &RigConfig, folder: &Path) -> Result<Band, BuildError> {
+    let response = response(&config.filter, folder)?;
+    match config.filter.samples {
+        Sampling::Number(samples) => Ok(Band::sample(&response, samples, true)?),
+        Sampling::Word(SamplingWord::Automatic) => {
+            // Without a spray nothing in front of the plate depends on the wavelength.
+            let (fuel, absorbers) = match &config.spray {
+                Some(spray) => (library::fuel(&spray.fuel, folder)?, Absorbers::BOTH),
+                None => (Fuel::named("n-heptane")?, Absorbers::NONE),
+            };
+            Ok(Band::automatic_for(&response, &fuel, absorbers, EMISSIVITY_ERROR)?.band)
+        }
+    }
 }
 
 /// A window at the band's wavelengths; no window lets everything through.
@@ -297,5 +338,35 @@ mod tests {
         assert!(covers(&fuel(3.0, 3.9), &band).is_ok());
         let error = covers(&fuel(3.4, 3.9), &band).unwrap_err().to_string();
         assert!(error.contains("3.4 to 3.9 um"), "{error}");
+    }
+
+    fn filter(name: Option<&str>, detector: Option<&str>, response: &[&str]) -> FilterConfig {
+        FilterConfig {
+            name: name.map(str::to_owned),
+            detector: detector.map(str::to_owned),
+            response: response.iter().map(Into::into).collect(),
+            samples: Sampling::Word(SamplingWord::Automatic),
+        }
+    }
+
+    #[test]
+    fn tables_of_ones_own_are_multiplied_with_the_named_columns() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("own.csv"), "wavelength_um,response\n3.3,0\n3.4,0.8\n3.5,0\n")
+            .unwrap();
+        std::fs::write(folder.path().join("air.csv"), "wavelength_um,response\n3,0.9\n4,0.7\n").unwrap();
+        let of = |filter: &FilterConfig| response(filter, folder.path());
+        let own = of(&filter(None, None, &["own.csv"])).unwrap();
+        assert!((own.at(3.42) - 0.64).abs() < 1e-14);
+        let all = of(&filter(None, Some("QE_InSb_model"), &["own.csv", "air.csv"])).unwrap();
+        let camera = Response::shipped(&["QE_InSb_model", "lens_transmission_model"]).unwrap();
+        assert!((all.at(3.42) - 0.64 * 0.816 * camera.at(3.42)).abs() < 1e-14);
+        // As before there were tables.
+        let named = of(&filter(Some("filter_3.40_fwhm0.12"), Some("QE_InSb_model"), &[])).unwrap();
+        assert_eq!(named, Response::filtered_insb().unwrap());
+        let message = |filter: &FilterConfig| of(filter).unwrap_err().to_string();
+        assert!(message(&filter(None, None, &["none.csv"])).contains("none.csv"));
+        std::fs::write(folder.path().join("bad.csv"), "wavelength_um,response\n3.3,1\n3.2,1\n").unwrap();
+        assert!(message(&filter(None, None, &["bad.csv"])).contains("bad.csv"));
     }
 }

@@ -242,16 +242,39 @@ pub struct FluctuationConfig {
     pub correlation_length_px: f64,
 }
 
-/// The filter and its sampling.
+/// The filter and its sampling: the product of all that is given.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilterConfig {
     /// Column of the shipped response table, for instance `filter_3.40_fwhm0.12`.
-    pub name: String,
-    /// Column of the detector in the same table: `QE_InSb_model` or `QE_MCT_MWIR_model`.
-    pub detector: String,
-    /// Wavelength samples inside the band (leakage has its own besides).
-    pub samples: usize,
+    pub name: Option<String>,
+    /// Column of the detector in the same table: `QE_InSb_model` or `QE_MCT_MWIR_model`. The lens of that table comes
+    /// with it.
+    pub detector: Option<String>,
+    /// Tables of one's own (columns wavelength_um and response; several are multiplied on their own grids).
+    #[serde(default)]
+    pub response: Vec<PathBuf>,
+    /// Wavelength samples inside the band (leakage has its own besides), or `"auto"`: the fewest that are right for the
+    /// fuel.
+    pub samples: Sampling,
+}
+
+/// How finely a band is sampled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Sampling {
+    /// Equal stretches of wavelength, above 0.
+    Number(usize),
+    /// The word `"auto"`.
+    Word(SamplingWord),
+}
+
+/// A word in the place of a number of samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum SamplingWord {
+    /// As few as the fuel allows.
+    #[serde(rename = "auto")]
+    Automatic,
 }
 
 /// A fault that the simulated camera or injector plays. Ordinals count from 0 over the life of the rig.
@@ -302,8 +325,11 @@ impl RigConfig {
                 return refuse("spray.scales", "a fluctuating spray is rendered at three scales at least");
             }
         }
-        if self.filter.samples == 0 {
+        if self.filter.samples == Sampling::Number(0) {
             return refuse("filter.samples", "at least one sample");
+        }
+        if self.filter.name.is_none() && self.filter.detector.is_none() && self.filter.response.is_empty() {
+            return refuse("filter", "name a filter and a detector, or a table: response = [\"my.csv\"]");
         }
         Ok(())
     }
@@ -554,6 +580,22 @@ mod tests {
         assert_eq!(config.plate_view.emissivity.to_bits(), 0.959_f64.to_bits());
         let again: RigConfig = toml::from_str(&toml::to_string(&config).unwrap()).unwrap();
         assert_eq!(again, config);
+    }
+
+    #[test]
+    fn the_filter_is_sampled_as_it_says() {
+        let with = |to: &str| toml::from_str::<RigConfig>(&SAMPLE.replacen("samples = 16", to, 1));
+        let sampling = |to: &str| with(to).unwrap().filter.samples;
+        assert_eq!(sampling("samples = 16"), Sampling::Number(16));
+        assert_eq!(sampling("samples = \"auto\""), Sampling::Word(SamplingWord::Automatic));
+        assert!(with("samples = \"all\"").is_err() && with("samples = -1").is_err());
+        let auto = with("samples = \"auto\"\nresponse = [\"own.csv\"]").unwrap();
+        let again: RigConfig = toml::from_str(&toml::to_string(&auto).unwrap()).unwrap();
+        assert_eq!(again, auto);
+        let none = SAMPLE.replacen("name = \"filter_3.40_fwhm0.12\"", "", 1);
+        let none = none.replacen("detector = \"QE_InSb_model\"", "", 1);
+        let refused = toml::from_str::<RigConfig>(&none).unwrap().validate().unwrap_err().to_string();
+        assert!(refused.contains("response"), "{refused}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::phase::{cut, thin, told};
 use super::{BandSource, CfdSource, MediumSource, Samples, Scene, SceneError};
-use crate::light::band::Band;
+use crate::light::band::{Absorbers, Band};
 use crate::light::fuel::Fuel;
 use crate::light::phase::truncation::Truncation;
 use crate::scene::deposit::{self, DepositOptions, Move, Placement};
@@ -54,8 +54,6 @@ fn spectral(
     let folder = source.scene.parent().unwrap_or(Path::new(""));
     let fuel = library::fuel(&source.fuel, folder).map_err(|e| wrong(format!("[medium] fuel: {e}")))?;
     let mut notes = Vec::new();
-    let samples = samples(band, &fuel, &mut notes).map_err(wrong)?;
-    notes.extend(outside(&fuel, &samples));
     let spray = if source.embedded {
         let spray = compact::shipped().map_err(unread)?;
         if let Some(t) = source.time_s.filter(|t| (t - spray.time_s).abs() > SAME_TIME * spray.time_s) {
@@ -83,6 +81,9 @@ fn spectral(
         report.outside_parcels,
         report.junk_parcels
     ));
+    let absorbers = Absorbers { liquid: report.droplet_cells > 0, vapour: report.vapour_cells > 0 };
+    let samples = samples(band, &fuel, absorbers, &mut notes).map_err(wrong)?;
+    notes.extend(outside(&fuel, &samples));
     let sources = [Source::UNIT, Source::RADIANCE];
     let Optics { mut medium, report, .. } = optics::optics(&field, &fuel, &samples, &sources, options);
     notes.push(format!(
@@ -129,18 +130,25 @@ fn outside(fuel: &Fuel, band: &Band) -> Option<String> {
 }
 
 /// The spectral groups of a fuel in a band.
-fn samples(band: &BandSource, fuel: &Fuel, notes: &mut Vec<String>) -> Result<Band, String> {
+fn samples(
+    band: &BandSource,
+    fuel: &Fuel,
+    absorbers: Absorbers,
+    notes: &mut Vec<String>,
+) -> Result<Band, String> {
     let samples = match band {
         BandSource::Wavelength(um) => Band::monochromatic(*um),
         BandSource::Response { response, samples: Samples::Number(n), .. } => {
             Band::sample(response, *n, true).map_err(|e| format!("[band] samples: {e}"))?
         }
         BandSource::Response { response, samples: Samples::Automatic, .. } => {
-            let chosen = Band::automatic(response, fuel, EMISSIVITY_ERROR)
+            let chosen = Band::automatic_for(response, fuel, absorbers, EMISSIVITY_ERROR)
                 .map_err(|e| format!("[band] samples: {e}"))?;
             notes.push(format!(
-                "band: {} groups, error of column emissivities {:.1e}, of black-body signals {:.1e}",
+                "band: {} groups, {} of them for the leak, error of column emissivities {:.1e}, of black-body signals \
+                 {:.1e}",
                 chosen.band.len(),
+                chosen.band.leak_from.map_or(0, |leak| chosen.band.len() - leak),
                 chosen.emissivity_error,
                 chosen.signal_error
             ));
