@@ -1,15 +1,17 @@
 """Times public Mie programs on the rows of `ditd bench mie`, on one thread.
 
     python3 -m venv venv
-    venv/bin/pip install numpy numba miepython==3.3.0 lxmie==1.1.1 python-scattnlay==2.4 PyMieScatt
+    venv/bin/pip install numpy numba miepython==3.3.0 lxmie==1.1.1 python-scattnlay==2.4
     taskset -c 0 venv/bin/python mie_peers.py            # `--json` for a list, `--only miepython,lxmie` for some
     taskset -c 0 ditd bench mie                          # the same rows of ditd
 
-Every number is the minimum of several runs, after one that is not counted (it compiles what is compiled late).
-A program that is not installed is skipped. The table is 200 radii (0.1 to 100 um, even in ln r) at 64 wavelengths
-(3 to 5 um) of a liquid with one absorption line; its check is the sum of all Q_ext, 20037.643124522810 in 256-bit arithmetic
-(textbook series). Timed is what each program calls a computation of efficiencies (all of
-Q_ext, Q_sca, g, and Q_back where it has them), through the fastest public way it has for many spheres.
+PyMieScatt needs "numpy<2" "scipy<1.14" and so a venv of its own (`--only PyMieScatt`; its table takes half a minute).
+
+Every number is the minimum of several runs, after one that is not counted (it compiles what is compiled late). A program
+that is not installed is skipped. The table is 200 radii (0.1 to 100 um, even in ln r) at 64 wavelengths (3 to 5 um) of a
+liquid with one absorption line; its check is the sum of all Q_ext, which is 20037.643124522810 by the textbook series in
+256-bit arithmetic. Timed is what each program calls a computation of efficiencies (Q_ext, Q_sca, g, and Q_back where it
+has them), through the fastest public way it has for many spheres.
 """
 
 import argparse
