@@ -2,7 +2,7 @@
 //! break (indices up to 100 and down to 0.01, matched indices, lines, plasmons, arguments at zeros of the functions),
 //! and the efficiencies of droplets at 3.4 µm that the paper's Fig. 2 shows.
 
-use ditd_sim::light::mie::{Efficiencies, Sphere, efficiencies, efficiencies_of_many};
+use ditd_sim::light::mie::{Efficiencies, Sphere, efficiencies, efficiencies_of_many, efficiencies_refined};
 use std::f64::consts::PI;
 
 /// A sphere, its five numbers with their condition numbers of x and of n and k, its name.
@@ -61,6 +61,24 @@ fn every_row_of_the_second_table_is_met() {
     assert!(bad.is_empty(), "alone: {bad:#?}");
     let bad = misses(&efficiencies_of_many(&spheres).unwrap());
     assert!(bad.is_empty(), "side by side: {bad:#?}");
+}
+
+#[test]
+fn narrow_lines_lose_nothing_when_they_are_refined() {
+    let rows = table();
+    let spheres: Vec<Sphere> = rows.iter().map(|row| row.0).collect();
+    let (answers, again) = efficiencies_refined(&spheres).unwrap();
+    let bad = misses(&answers);
+    assert!(bad.is_empty() && again > 0, "{bad:#?}");
+    for ((_, wanted, id), q) in rows.iter().zip(&answers).filter(|(row, _)| row.2.contains("resonance")) {
+        for (found, column) in [(q.q_ext, 0), (q.q_sca, 1), (q.q_abs, 2), (q.asymmetry, 4)] {
+            let wanted = wanted[column].0;
+            assert!(
+                (found - wanted).abs() <= 1e-12 * wanted.abs(),
+                "{id} column {column}: {found:e}, {wanted:e}"
+            );
+        }
+    }
 }
 
 /// Droplets at 3.4 µm with m = 1.38 + 0.09 i: radius in µm, then as printed x, Q_ext, Q_sca, Q_abs, Q_sca/Q_ext,

@@ -82,16 +82,8 @@ fn spheres(table: &TextTable) -> Result<Vec<Sphere>, CommandError> {
 fn efficiencies(table: &mut TextTable, plot: Option<&Path>) -> CommandResult {
     plot.map_or(Ok(()), figure::svg_named)?;
     let spheres = spheres(table)?;
-    // Spheres of similar size are computed side by side.
-    let mut order: Vec<usize> = (0..spheres.len()).collect();
-    order.sort_by(|&a, &b| spheres[a].size_parameter.total_cmp(&spheres[b].size_parameter));
-    let sorted: Vec<Sphere> = order.iter().map(|&row| spheres[row]).collect();
-    let found =
-        mie::efficiencies_of_many(&sorted).map_err(|(index, error)| table.bad_row(order[index], error))?;
-    let mut answers = vec![Efficiencies::default(); spheres.len()];
-    for (q, &row) in found.iter().zip(&order) {
-        answers[row] = *q;
-    }
+    let (answers, _) =
+        mie::efficiencies_refined(&spheres).map_err(|(index, error)| table.bad_row(index, error))?;
     let columns: [(&str, fn(&Efficiencies) -> f64); 5] = [
         ("qext", |q| q.q_ext),
         ("qsca", |q| q.q_sca),
