@@ -2,6 +2,8 @@
 //! break (indices up to 100 and down to 0.01, matched indices, lines, plasmons, arguments at zeros of the functions),
 //! and the efficiencies of droplets at 3.4 µm that the paper's Fig. 2 shows.
 
+#![expect(clippy::unwrap_used, reason = "the helpers of these tests fail the test")]
+
 use ditd_sim::light::mie::{Efficiencies, Sphere, efficiencies, efficiencies_of_many, efficiencies_refined};
 use std::f64::consts::PI;
 

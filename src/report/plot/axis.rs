@@ -78,7 +78,7 @@ impl Axis {
 
     /// Whether a value lies between the ends.
     pub(super) fn holds(&self, value: f64) -> bool {
-        value >= self.low && value <= self.high
+        (self.low..=self.high).contains(&value)
     }
 
     /// Whether a value can be drawn at all.
