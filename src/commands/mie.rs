@@ -84,16 +84,14 @@ fn efficiencies(table: &mut TextTable, plot: Option<&Path>) -> CommandResult {
     let spheres = spheres(table)?;
     let (answers, _) =
         mie::efficiencies_refined(&spheres).map_err(|(index, error)| table.bad_row(index, error))?;
-    let columns: [(&str, fn(&Efficiencies) -> f64); 5] = [
-        ("qext", |q| q.q_ext),
-        ("qsca", |q| q.q_sca),
-        ("qabs", |q| q.q_abs),
-        ("qback", |q| q.q_back),
-        ("g", |q| q.asymmetry),
-    ];
-    for (name, value) in columns {
+    let mut set = |name: &str, value: fn(&Efficiencies) -> f64| {
         table.set(name, &answers.iter().map(value).collect::<Vec<f64>>());
-    }
+    };
+    set("qext", |q| q.q_ext);
+    set("qsca", |q| q.q_sca);
+    set("qabs", |q| q.q_abs);
+    set("qback", |q| q.q_back);
+    set("g", |q| q.asymmetry);
     if let Some(path) = plot {
         let drawing = Drawing::Plot(pictures::spheres(&spheres, &answers));
         figure::write(path, &Sheet { title: String::new(), drawings: vec![drawing], columns: 1 })?;
