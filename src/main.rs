@@ -40,6 +40,8 @@ enum Command {
     Fuel(commands::fuel::Args),
     /// Read a CFD spray and print its totals
     Import(commands::import::Args),
+    /// Measure the speed and the accuracy of this machine's computations
+    Bench(commands::bench::Args),
     /// Print the JSON schema of the campaign file
     Schema,
     /// Print completions for a shell
@@ -65,6 +67,7 @@ fn main() -> ExitCode {
         Command::Planck(args) => commands::planck::run(args),
         Command::Fuel(args) => commands::fuel::run(args),
         Command::Import(args) => commands::import::run(args),
+        Command::Bench(args) => commands::bench::run(&args, &clock),
         Command::Schema => commands::schema::run(),
         Command::Completions { shell } => {
             let mut text = Vec::new();

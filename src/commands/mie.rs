@@ -1,9 +1,13 @@
-//! `ditd mie`: scattering of spheres, tables in, tables out.
+//! `ditd mie`: scattering of spheres, tables in, tables out; pictures of them.
+
+mod figure;
 
 use super::{CommandError, CommandResult};
+use crate::report::mie as pictures;
+use crate::report::plot::sheet::{Drawing, Sheet};
 use crate::tables::TextTable;
-use ditd_sim::light::mie::{self, Direction, Lognormal, Sphere};
-use std::path::PathBuf;
+use ditd_sim::light::mie::{self, Direction, Efficiencies, Lognormal, Sphere};
+use std::path::{Path, PathBuf};
 
 /// Relative accuracy of means over a size distribution.
 const POLYDISPERSE_TARGET: f64 = 1e-10;
@@ -18,13 +22,15 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Task {
     /// Columns x, n, k; adds qext, qsca, qabs, qback, g
-    Efficiencies(Input),
+    Efficiencies(EfficienciesInput),
     /// Columns x, n, k, theta_deg; adds s1_re, s1_im, s2_re, s2_im, p11 (NaN where nothing is scattered)
     Amplitudes(Input),
     /// Columns x, n, k, theta_deg; adds cdf, the fraction scattered within theta (NaN where nothing is scattered)
     Cdf(Input),
     /// Columns r_g_um, sigma_ln, lambda_um, n, k; adds qext_mean, qsca_mean, qabs_mean, g_mean
     Polydisperse(Input),
+    /// Draw a liquid: efficiencies and mean cosine against the radius, phase functions
+    Figure(figure::Args),
 }
 
 #[derive(Debug, clap::Args)]
@@ -37,14 +43,28 @@ struct Input {
     json: bool,
 }
 
+#[derive(Debug, clap::Args)]
+struct EfficienciesInput {
+    #[command(flatten)]
+    input: Input,
+    /// Draw the efficiencies against x as well
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+}
+
 /// Runs the command.
 ///
 /// # Errors
 ///
-/// Status 2, naming the row, when a table or a sphere makes no sense.
+/// Status 2, naming the row, when a table or a sphere makes no sense; 1 when a picture cannot be written.
 pub fn run(args: Args) -> CommandResult {
     let (input, task): (Input, fn(&mut TextTable) -> CommandResult) = match args.task {
-        Task::Efficiencies(input) => (input, efficiencies),
+        Task::Efficiencies(EfficienciesInput { input, plot }) => {
+            let mut table = TextTable::read(&input.file)?;
+            efficiencies(&mut table, plot.as_deref())?;
+            return table.print(input.json);
+        }
+        Task::Figure(args) => return figure::run(args),
         Task::Amplitudes(input) => (input, amplitudes),
         Task::Cdf(input) => (input, cdf),
         Task::Polydisperse(input) => (input, polydisperse),
@@ -59,23 +79,22 @@ fn spheres(table: &TextTable) -> Result<Vec<Sphere>, CommandError> {
     Ok(x.into_iter().zip(n).zip(k).map(|((size_parameter, n), k)| Sphere { size_parameter, n, k }).collect())
 }
 
-fn efficiencies(table: &mut TextTable) -> CommandResult {
+fn efficiencies(table: &mut TextTable, plot: Option<&Path>) -> CommandResult {
+    plot.map_or(Ok(()), figure::svg_named)?;
     let spheres = spheres(table)?;
-    // Spheres of similar size are computed side by side.
-    let mut order: Vec<usize> = (0..spheres.len()).collect();
-    order.sort_by(|&a, &b| spheres[a].size_parameter.total_cmp(&spheres[b].size_parameter));
-    let sorted: Vec<Sphere> = order.iter().map(|&row| spheres[row]).collect();
-    let answers =
-        mie::efficiencies_of_many(&sorted).map_err(|(index, error)| table.bad_row(order[index], error))?;
-    let mut columns = vec![vec![0.0; spheres.len()]; 5];
-    for (q, &row) in answers.iter().zip(&order) {
-        let values = [q.q_ext, q.q_sca, q.q_abs, q.q_back, q.asymmetry];
-        for (column, value) in columns.iter_mut().zip(values) {
-            column[row] = value;
-        }
-    }
-    for (name, column) in ["qext", "qsca", "qabs", "qback", "g"].into_iter().zip(columns) {
-        table.set(name, &column);
+    let (answers, _) =
+        mie::efficiencies_refined(&spheres).map_err(|(index, error)| table.bad_row(index, error))?;
+    let mut set = |name: &str, value: fn(&Efficiencies) -> f64| {
+        table.set(name, &answers.iter().map(value).collect::<Vec<f64>>());
+    };
+    set("qext", |q| q.q_ext);
+    set("qsca", |q| q.q_sca);
+    set("qabs", |q| q.q_abs);
+    set("qback", |q| q.q_back);
+    set("g", |q| q.asymmetry);
+    if let Some(path) = plot {
+        let drawing = Drawing::Plot(pictures::spheres(&spheres, &answers));
+        figure::write(path, &Sheet { title: String::new(), drawings: vec![drawing], columns: 1 })?;
     }
     Ok(())
 }
@@ -163,7 +182,7 @@ mod tests {
     #[test]
     fn a_table_of_spheres_gets_its_columns_in_its_own_order() {
         let mut own = table("id,x,n,k\nbig,50,1.4,0.1\nnone,0,1.4,0.1\nsmall,0.1,1.4,0.1\n");
-        efficiencies(&mut own).unwrap();
+        efficiencies(&mut own, None).unwrap();
         let q = own.numbers("qext").unwrap();
         assert!(q[0] > 2.0 && q[1] == 0.0 && q[2] < 0.1, "{q:?}");
         assert!(own.to_csv().starts_with("id,x,n,k,qext,qsca,qabs,qback,g\nbig,50,1.4,0.1,"));
@@ -171,7 +190,7 @@ mod tests {
 
     #[test]
     fn the_row_of_a_bad_sphere_is_named() {
-        let error = efficiencies(&mut table("x,n,k\n50,1.4,0.1\n1,1.4,-0.1\n")).unwrap_err();
+        let error = efficiencies(&mut table("x,n,k\n50,1.4,0.1\n1,1.4,-0.1\n"), None).unwrap_err();
         assert!(error.code == 2 && error.message.starts_with("t, row 2: index 1.4 + -0.1 i"), "{error}");
         let error = amplitudes(&mut table("x,n,k,theta_deg\n50,1.4,0.1,0\n50,1.4,0.1,181\n")).unwrap_err();
         assert!(error.message.starts_with("t, row 2: scattering angle"), "{error}");

@@ -1,5 +1,6 @@
 //! The subcommands of `ditd`, one room each. Thin: they read arguments, call the library, print.
 
+pub mod bench;
 pub mod calibrate;
 pub mod check;
 pub mod fit;

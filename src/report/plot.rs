@@ -1,11 +1,19 @@
 //! Line and point plots as inline SVG: axes with round ticks, error bars, a legend.
 
+mod axis;
+pub mod polar;
+pub mod sheet;
+
+pub use axis::Scale;
+
 use super::escape;
 use crate::estimate::calibration::{CalibrationFit, CalibrationPoint};
-use crate::files::preview::{tick_label, tick_step, ticks};
+use axis::{Axis, Tick};
 
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 380.0;
+/// How text looks on every drawing.
+const FONT: &str = "font-family=\"system-ui,sans-serif\" font-size=\"12\" fill=\"#1c2430\"";
 const LEFT: f64 = 72.0;
 const RIGHT: f64 = 18.0;
 const TOP: f64 = 16.0;
@@ -24,11 +32,15 @@ pub struct Plot {
     pub x_label: String,
     /// Beside the vertical axis, with unit.
     pub y_label: String,
+    /// How the horizontal axis is laid out.
+    pub x_scale: Scale,
+    /// How the vertical axis is laid out.
+    pub y_scale: Scale,
     /// What is drawn, in order.
     pub series: Vec<Series>,
     /// Vertical lines with a name, e.g. a crossing.
     pub marks: Vec<(f64, String)>,
-    /// Draws the line y = 0.
+    /// Draws the line y = 0, on a linear axis.
     pub zero: bool,
 }
 
@@ -110,6 +122,7 @@ pub fn pixel_line(levels: &[Point], slope: f64, offset: f64, name: &str) -> Plot
         ],
         marks,
         zero: true,
+        ..Plot::default()
     }
 }
 
@@ -131,77 +144,79 @@ pub fn plate_temperature(readings: &[(f64, f64)], set_points: &[(f64, f64)]) -> 
 impl Plot {
     /// The `<svg>` element as HTML takes it, without a name space. Without a finite point it says so.
     pub fn to_svg(&self) -> String {
-        let mut out = format!(
-            "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" \
-             height=\"{HEIGHT}\" font-family=\"system-ui,sans-serif\" font-size=\"12\" fill=\"#1c2430\">\n"
-        );
-        match Frame::around(self) {
-            Some(frame) => {
-                frame.axes(self, &mut out);
-                for (index, series) in self.series.iter().enumerate() {
-                    frame.series(series, PALETTE[index % PALETTE.len()], &mut out);
-                }
-                frame.marks(self, &mut out);
-                legend(self, &mut out);
-            }
-            None => out += &format!("<text x=\"{LEFT}\" y=\"{}\">no data</text>\n", HEIGHT / 2.0),
+        format!(
+            "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" height=\"{HEIGHT}\" {FONT}>\n{}</svg>\n",
+            self.body()
+        )
+    }
+
+    /// What stands inside the element.
+    fn body(&self) -> String {
+        let Some(frame) = Frame::around(self) else {
+            return format!("<text x=\"{LEFT}\" y=\"{}\">no data</text>\n", HEIGHT / 2.0);
+        };
+        let mut out = String::new();
+        frame.axes(self, &mut out);
+        for (index, series) in self.series.iter().enumerate() {
+            frame.series(series, PALETTE[index % PALETTE.len()], &mut out);
         }
-        out + "</svg>\n"
+        frame.marks(self, &mut out);
+        frame.legend(self, &mut out);
+        out
     }
 }
 
 /// Where values lie on the page.
 struct Frame {
-    x: (f64, f64),
-    y: (f64, f64),
+    x: Axis,
+    y: Axis,
 }
 
 impl Frame {
     fn around(plot: &Plot) -> Option<Self> {
-        let points =
-            || plot.series.iter().flat_map(|s| &s.points).filter(|p| p.x.is_finite() && p.y.is_finite());
+        let points = || {
+            let all = plot.series.iter().flat_map(|s| &s.points);
+            all.filter(|p| plot.x_scale.shows(p.x) && plot.y_scale.shows(p.y))
+        };
         points().next()?;
         let bar = |p: &Point| if p.sigma.is_finite() { p.sigma } else { 0.0 };
-        let span = |low: f64, high: f64| {
-            let room = 0.04 * (high - low).max(1e-9 * high.abs()).max(1e-9);
-            (low - room, high + room)
-        };
-        let fold = |values: &dyn Fn(&Point) -> (f64, f64)| {
-            points().map(values).fold((f64::INFINITY, f64::NEG_INFINITY), |s, v| (s.0.min(v.0), s.1.max(v.1)))
-        };
-        let (left, right) = fold(&|p| (p.x, p.x));
-        let (mut low, mut high) = fold(&|p| (p.y - bar(p), p.y + bar(p)));
-        if plot.zero {
-            (low, high) = (low.min(0.0), high.max(0.0));
-        }
-        Some(Self { x: span(left, right), y: span(low, high) })
+        let zero = (plot.zero && plot.y_scale == Scale::Linear).then_some(0.0);
+        let ends = points().flat_map(|p| [p.y - bar(p), p.y, p.y + bar(p)]).chain(zero);
+        Some(Self {
+            x: Axis::around(points().map(|p| p.x), plot.x_scale)?,
+            y: Axis::around(ends, plot.y_scale)?,
+        })
+    }
+
+    /// Whether a point has a place.
+    fn shows(&self, point: &Point) -> bool {
+        self.x.shows(point.x) && self.y.shows(point.y)
     }
 
     fn px(&self, x: f64) -> f64 {
-        LEFT + (x - self.x.0) / (self.x.1 - self.x.0) * (WIDTH - LEFT - RIGHT)
+        LEFT + self.x.place(x) * (WIDTH - LEFT - RIGHT)
     }
 
     fn py(&self, y: f64) -> f64 {
-        HEIGHT - BOTTOM - (y - self.y.0) / (self.y.1 - self.y.0) * (HEIGHT - TOP - BOTTOM)
+        HEIGHT - BOTTOM - self.y.place(y) * (HEIGHT - TOP - BOTTOM)
     }
 
     fn axes(&self, plot: &Plot, out: &mut String) {
         let (bottom, right) = (HEIGHT - BOTTOM, WIDTH - RIGHT);
-        let step = tick_step(self.x.1 - self.x.0);
-        for tick in ticks(self.x.0, self.x.1, step) {
-            let x = self.px(tick);
-            *out += &format!("<path d=\"M{x:.2} {TOP}V{bottom}\" stroke=\"#e6e9ee\"/>");
-            let (y, label) = (bottom + 17.0, tick_label(tick, step));
+        let colour = |tick: &Tick| if tick.label.is_empty() { "#f2f4f7" } else { "#e6e9ee" };
+        for tick in self.x.ticks() {
+            let (x, y) = (self.px(tick.value), bottom + 17.0);
+            *out += &format!("<path d=\"M{x:.2} {TOP}V{bottom}\" stroke=\"{}\"/>", colour(&tick));
+            let label = tick.label;
             *out += &format!("<text x=\"{x:.2}\" y=\"{y}\" text-anchor=\"middle\">{label}</text>\n");
         }
-        let step = tick_step(self.y.1 - self.y.0);
-        for tick in ticks(self.y.0, self.y.1, step) {
-            let y = self.py(tick);
-            *out += &format!("<path d=\"M{LEFT} {y:.2}H{right}\" stroke=\"#e6e9ee\"/>");
-            let (x, base, label) = (LEFT - 8.0, y + 4.0, tick_label(tick, step));
+        for tick in self.y.ticks() {
+            let y = self.py(tick.value);
+            *out += &format!("<path d=\"M{LEFT} {y:.2}H{right}\" stroke=\"{}\"/>", colour(&tick));
+            let (x, base, label) = (LEFT - 8.0, y + 4.0, tick.label);
             *out += &format!("<text x=\"{x}\" y=\"{base:.2}\" text-anchor=\"end\">{label}</text>\n");
         }
-        if plot.zero {
+        if plot.zero && self.y.shows(0.0) {
             let y = self.py(0.0);
             *out += &format!("<path d=\"M{LEFT} {y:.2}H{right}\" stroke=\"#8a94a3\"/>\n");
         }
@@ -224,7 +239,7 @@ impl Frame {
                 let mut path = String::new();
                 let mut pen = 'M';
                 for point in points {
-                    if point.x.is_finite() && point.y.is_finite() {
+                    if self.shows(point) {
                         path += &format!("{pen}{:.2} {:.2}", self.px(point.x), self.py(point.y));
                         pen = 'L';
                     } else {
@@ -235,9 +250,11 @@ impl Frame {
                     &format!("<path d=\"{path}\" stroke=\"{colour}\" stroke-width=\"1.8\" fill=\"none\"/>\n");
             }
             Style::Dots => {
-                for point in points.filter(|p| p.x.is_finite() && p.y.is_finite()) {
+                for point in points.filter(|p| self.shows(p)) {
                     let (x, y) = (self.px(point.x), self.py(point.y));
-                    if point.sigma > 0.0 && point.sigma.is_finite() {
+                    // On a logarithmic axis a bar that reaches 0 has no end.
+                    let ends = self.y.shows(point.y - point.sigma);
+                    if point.sigma > 0.0 && point.sigma.is_finite() && ends {
                         let (low, high) = (self.py(point.y - point.sigma), self.py(point.y + point.sigma));
                         *out += &format!(
                             "<path d=\"M{x:.2} {low:.2}V{high:.2}m-4 0h8M{:.2} {low:.2}h8\" stroke=\"{colour}\" fill=\"none\"/>",
@@ -251,7 +268,7 @@ impl Frame {
     }
 
     fn marks(&self, plot: &Plot, out: &mut String) {
-        for (at, name) in plot.marks.iter().filter(|(at, _)| *at >= self.x.0 && *at <= self.x.1) {
+        for (at, name) in plot.marks.iter().filter(|(at, _)| self.x.holds(*at)) {
             let (x, bottom) = (self.px(*at), HEIGHT - BOTTOM);
             *out +=
                 &format!("<path d=\"M{x:.2} {TOP}V{bottom}\" stroke=\"#5b6675\" stroke-dasharray=\"4 4\"/>");
@@ -259,16 +276,40 @@ impl Frame {
             *out += &format!("<text x=\"{x:.2}\" y=\"{y}\">{}</text>\n", escape(name));
         }
     }
-}
 
-fn legend(plot: &Plot, out: &mut String) {
-    let named = plot.series.iter().enumerate().filter(|(_, s)| !s.name.is_empty());
-    for (line, (index, series)) in named.enumerate() {
-        let colour = PALETTE[index % PALETTE.len()];
-        #[expect(clippy::cast_precision_loss, reason = "a few series")]
-        let y = TOP + 14.0 + 18.0 * line as f64;
-        let (x, text) = (WIDTH - RIGHT - 8.0, escape(&series.name));
-        *out += &format!("<text x=\"{x}\" y=\"{y}\" text-anchor=\"end\" fill=\"{colour}\">{text}</text>\n");
+    /// Names of the series, in the corner where the fewest points are: right above, left above, right below, left below.
+    fn legend(&self, plot: &Plot, out: &mut String) {
+        let named: Vec<(usize, &Series)> =
+            plot.series.iter().enumerate().filter(|(_, s)| !s.name.is_empty()).collect();
+        let longest = named.iter().map(|(_, s)| s.name.chars().count()).max().unwrap_or(0);
+        #[expect(clippy::cast_precision_loss, reason = "a few series with short names")]
+        let (width, height) = (7.0 * longest as f64 + 12.0, 18.0 * named.len() as f64 + 4.0);
+        let (right, bottom) = (WIDTH - RIGHT - 8.0, HEIGHT - BOTTOM - 8.0);
+        let corners = [
+            (right, TOP, "end"),
+            (LEFT + 10.0, TOP, "start"),
+            (right, bottom - height, "end"),
+            (LEFT + 10.0, bottom - height, "start"),
+        ];
+        let covered = |&(x, top, anchor): &(f64, f64, &str)| {
+            let from = if anchor == "end" { x - width } else { x };
+            let inside = |p: &&Point| {
+                let (x, y) = (self.px(p.x), self.py(p.y));
+                (from..from + width).contains(&x) && (top..top + height).contains(&y)
+            };
+            let drawn = plot.series.iter().flat_map(|s| &s.points).filter(|p| self.shows(p));
+            drawn.filter(inside).count()
+        };
+        let (x, top, anchor) =
+            corners.into_iter().min_by_key(covered).expect("there are four corners to choose from");
+        for (line, (index, series)) in named.into_iter().enumerate() {
+            let (colour, text) = (PALETTE[index % PALETTE.len()], escape(&series.name));
+            #[expect(clippy::cast_precision_loss, reason = "a few series")]
+            let y = top + 14.0 + 18.0 * line as f64;
+            *out += &format!(
+                "<text x=\"{x}\" y=\"{y}\" text-anchor=\"{anchor}\" fill=\"{colour}\">{text}</text>\n"
+            );
+        }
     }
 }
 
@@ -286,9 +327,24 @@ mod tests {
             plate_temperature(&[(0.0, 300.0)], &[]),
             Plot::default(),
         ] {
-            let svg = plot.to_svg();
-            assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+            let log = Plot { x_scale: Scale::Log, y_scale: Scale::Log, ..plot.clone() };
+            for svg in [plot.to_svg(), log.to_svg()] {
+                assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+            }
         }
+    }
+
+    #[test]
+    fn the_legend_stands_where_no_curve_is() {
+        let rising = |x: f64| Point::new(x, x);
+        let points: Vec<Point> = (0..200).map(|i| rising(f64::from(i))).collect();
+        let falling = points.iter().map(|p| Point::new(p.x, -p.y)).collect();
+        let plot = |points| Plot {
+            series: vec![Series { name: "curve".into(), points, style: Style::Line }],
+            ..Plot::default()
+        };
+        assert!(plot(points).to_svg().contains("text-anchor=\"start\" fill=\"#0072b2\">curve"));
+        assert!(plot(falling).to_svg().contains("text-anchor=\"end\" fill=\"#0072b2\">curve"));
     }
 
     #[test]
