@@ -27,7 +27,7 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Task {
-    /// Mie theory: tables of spheres, single spheres, angles, size distributions; on one thread
+    /// Mie theory: tables of spheres, single spheres, angles, size distributions on one thread; clouds on all
     Mie(Output),
 }
 

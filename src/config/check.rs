@@ -1,6 +1,7 @@
 //! Limits and impossible combinations of a campaign file. Pure.
 
 use super::{Config, Pace};
+use ditd_sim::light::air::{AirPath, Atmosphere};
 use ditd_sim::light::band::Response;
 use ditd_sim::light::fuel::Fuel;
 use ditd_sim::light::window::{Material, WindowError};
@@ -268,6 +269,11 @@ fn world(config: &Config, found: &mut Vec<Problem>) {
         && !columns.is_empty()
     {
         found.push(Problem { key: "rig.filter.name".to_owned(), message: error.to_string() });
+    }
+    if let Some(air) = &rig.filter.air
+        && let Err(error) = Atmosphere::named(&air.atmosphere).and_then(|own| AirPath::new(own, air.length_m))
+    {
+        found.push(Problem { key: "rig.filter.air".to_owned(), message: error.to_string() });
     }
     // Files of the user's own are read when the world is built; here no file is touched.
     if let Some(spray) = &rig.spray

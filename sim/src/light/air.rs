@@ -144,6 +144,13 @@ impl AirPath {
         -(-self.depth(wavelength_um)).exp_m1()
     }
 
+    /// Wavelengths in µm and transmittances at the nodes of the table, ascending; the ends go on to 0.1 and 1000 µm.
+    pub fn curve(&self) -> (Vec<f64>, Vec<f64>) {
+        let um: Vec<f64> = [0.1].iter().chain(&SHIPPED.um).chain(&[1000.0]).copied().collect();
+        let transmittance = um.iter().map(|um| self.transmittance(*um)).collect();
+        (um, transmittance)
+    }
+
     /// −ln T.
     fn depth(&self, wavelength_um: f64) -> f64 {
         if self.length_m <= 0.0 {

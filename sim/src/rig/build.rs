@@ -8,6 +8,7 @@ use super::config::{
 };
 use super::radiometry::{Enclosure, Optics, PlateSurfaceSpectrum, Spectrum, WindowSpectrum};
 use super::sights::{ScaleNode, Sights};
+use crate::light::air::{AirError, AirPath, Atmosphere};
 use crate::light::band::{Absorbers, Band, BandError, Response};
 use crate::light::fuel::{Fuel, FuelError};
 use crate::light::window::{Plate as WindowPlate, WindowError};
@@ -129,6 +130,9 @@ pub fn own_files(config: &RigConfig, folder: &Path) -> Result<Vec<OwnFile>, Buil
     for window in config.window.iter().flat_map(|both| [&both.near, &both.far]) {
         files.extend(library::material_and_file(&window.material, folder).map_err(material_error)?.1);
     }
+    for file in &config.filter.response {
+        files.push((file.clone(), response_file(file, folder)?.1));
+    }
     files.sort();
     files.dedup();
     Ok(files)
@@ -138,7 +142,18 @@ fn material_error(error: WindowError) -> BuildError {
     RigError::Config { key: "rig.window.material".to_owned(), why: error.to_string() }.into()
 }
 
-/// The response of camera, lens and filter: all that `filter` names, multiplied.
+/// A response table of the user's own, with its text.
+fn response_file(file: &Path, folder: &Path) -> Result<(Response, String), BuildError> {
+    let unusable = |why: String| RigError::Config {
+        key: "rig.filter.response".to_owned(),
+        why: format!("{}: {why}", file.display()),
+    };
+    let text = std::fs::read_to_string(folder.join(file)).map_err(|error| unusable(error.to_string()))?;
+    let response = Response::from_csv(&text).map_err(|error| unusable(error.to_string()))?;
+    Ok((response, text))
+}
+
+/// The response of camera, lens, filter and air: all that `filter` names, multiplied.
 ///
 /// # Errors
 ///
@@ -150,12 +165,14 @@ pub fn response(filter: &FilterConfig, folder: &Path) -> Result<Response, BuildE
         factors.push(Response::shipped(&[named, vec!["lens_transmission_model"]].concat())?);
     }
     for file in &filter.response {
-        let unusable = |why: String| RigError::Config {
-            key: "rig.filter.response".to_owned(),
-            why: format!("{}: {why}", file.display()),
-        };
-        let text = std::fs::read_to_string(folder.join(file)).map_err(|error| unusable(error.to_string()))?;
-        factors.push(Response::from_csv(&text).map_err(|error| unusable(error.to_string()))?);
+        factors.push(response_file(file, folder)?.0);
+    }
+    if let Some(air) = &filter.air {
+        let unusable =
+            |error: AirError| RigError::Config { key: "rig.filter.air".to_owned(), why: error.to_string() };
+        let atmosphere = Atmosphere::named(&air.atmosphere).map_err(unusable)?;
+        let (um, transmittance) = AirPath::new(atmosphere, air.length_m).map_err(unusable)?.curve();
+        factors.push(Response::new(um, transmittance)?);
     }
     match factors.len() {
         // One curve stays as it is, to the bit.
@@ -340,11 +357,14 @@ mod tests {
         assert!(error.contains("3.4 to 3.9 um"), "{error}");
     }
 
+    use crate::rig::config::AirConfig;
+
     fn filter(name: Option<&str>, detector: Option<&str>, response: &[&str]) -> FilterConfig {
         FilterConfig {
             name: name.map(str::to_owned),
             detector: detector.map(str::to_owned),
             response: response.iter().map(Into::into).collect(),
+            air: None,
             samples: Sampling::Word(SamplingWord::Automatic),
         }
     }
@@ -361,6 +381,21 @@ mod tests {
         let all = of(&filter(None, Some("QE_InSb_model"), &["own.csv", "air.csv"])).unwrap();
         let camera = Response::shipped(&["QE_InSb_model", "lens_transmission_model"]).unwrap();
         assert!((all.at(3.42) - 0.64 * 0.816 * camera.at(3.42)).abs() < 1e-14);
+        // Air takes its part of every wavelength; what there is no curve for is refused.
+        let through = AirPath::new(Atmosphere::UsStandard, 1.5).unwrap().transmittance(1e4 / 2925.0);
+        let air = |atmosphere: &str, length_m| FilterConfig {
+            air: Some(AirConfig { atmosphere: atmosphere.to_owned(), length_m }),
+            ..filter(None, None, &["own.csv"])
+        };
+        let behind = of(&air("us-standard", 1.5)).unwrap();
+        let um = 1e4 / 2925.0;
+        assert!(
+            (behind.at(um) / own.at(um) - through).abs() < 1e-12,
+            "{} {through}",
+            behind.at(um) / own.at(um)
+        );
+        assert!(of(&air("martian", 1.0)).unwrap_err().to_string().contains("us-standard"));
+        assert!(of(&air("us-standard", -1.0)).is_err());
         // As before there were tables.
         let named = of(&filter(Some("filter_3.40_fwhm0.12"), Some("QE_InSb_model"), &[])).unwrap();
         assert_eq!(named, Response::filtered_insb().unwrap());

@@ -243,7 +243,7 @@ pub struct FluctuationConfig {
 }
 
 /// The filter and its sampling: the product of all that is given.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilterConfig {
     /// Column of the shipped response table, for instance `filter_3.40_fwhm0.12`.
@@ -254,9 +254,21 @@ pub struct FilterConfig {
     /// Tables of one's own (columns wavelength_um and response; several are multiplied on their own grids).
     #[serde(default)]
     pub response: Vec<PathBuf>,
+    /// Air of the laboratory in front of the camera, on the bench as at the chamber; absent: none.
+    pub air: Option<AirConfig>,
     /// Wavelength samples inside the band (leakage has its own besides), or `"auto"`: the fewest that are right for the
     /// fuel.
     pub samples: Sampling,
+}
+
+/// A path through the laboratory's air.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AirConfig {
+    /// `us-standard`, `midlatitude-summer` or `midlatitude-winter`.
+    pub atmosphere: String,
+    /// Length in metres, 0 to 10.
+    pub length_m: f64,
 }
 
 /// How finely a band is sampled.

@@ -3,7 +3,7 @@
 use super::angular::{Amplitudes, Angles, Coefficients};
 use super::factors::Factors;
 use super::kernel::BATCH;
-use super::series::{coefficients, efficiencies, fused};
+use super::series::{efficiencies, fused, terms};
 use super::vector::Vector;
 use super::{MieError, Sphere};
 use crate::light::complex::Complex;
@@ -134,16 +134,7 @@ pub(super) struct Terms {
 
 impl Terms {
     pub(super) fn new(sphere: Sphere) -> Self {
-        let terms = coefficients(sphere)
-            .into_iter()
-            .zip(1u32..)
-            .map(|((a, b), n)| {
-                let n = f64::from(n);
-                let weight = (2.0 * n + 1.0) / (n * (n + 1.0));
-                [a.re * weight, a.im * weight, b.re * weight, b.im * weight]
-            })
-            .collect();
-        Self { terms }
+        Self { terms: terms(sphere) }
     }
 
     /// (S₁, S₂) towards each direction.
@@ -156,17 +147,8 @@ impl Terms {
                 one.versine.to_bits() == other.versine.to_bits() && one.backward != other.backward
             });
         let half = if mirrored { directions.len().div_ceil(2) } else { directions.len() };
-        let versines: Vec<f64> = directions[..half].iter().map(|direction| direction.versine).collect();
-        let pairs = pulp::Arch::new().dispatch(Towards { terms: &self.terms, versines: &versines });
-        let mut found: Vec<(Complex, Complex)> = pairs
-            .iter()
-            .zip(directions)
-            .map(|(pair, direction)| if direction.backward { pair.behind() } else { pair.ahead() })
-            .collect();
-        for (pair, direction) in pairs.iter().rev().skip(2 * half - directions.len()).zip(&directions[half..])
-        {
-            found.push(if direction.backward { pair.behind() } else { pair.ahead() });
-        }
+        let mut found = vec![(Complex::default(), Complex::default()); directions.len()];
+        pulp::Arch::new().dispatch(Towards { terms: &self.terms, directions, half, found: &mut found });
         found
     }
 
@@ -176,70 +158,59 @@ impl Terms {
     }
 }
 
-/// The amplitudes at an angle and its mirror image: S₁ = U₁ ± V₁, S₂ = U₂ ± V₂.
-#[derive(Debug, Clone, Copy, Default)]
-struct Pair {
-    u1: Complex,
-    v1: Complex,
-    u2: Complex,
-    v2: Complex,
-}
-
-impl Pair {
-    fn ahead(&self) -> (Complex, Complex) {
-        (self.u1 + self.v1, self.u2 + self.v2)
-    }
-
-    fn behind(&self) -> (Complex, Complex) {
-        (self.u1 - self.v1, self.u2 - self.v2)
-    }
-}
-
-/// Terms and 1 − μ of directions with μ ≥ 0.
+/// Terms, directions, and the place of what is found. Beyond `half` the directions mirror those before it.
 struct Towards<'a> {
     terms: &'a [[f64; 4]],
-    versines: &'a [f64],
+    directions: &'a [Direction],
+    half: usize,
+    found: &'a mut [(Complex, Complex)],
 }
 
 impl pulp::WithSimd for Towards<'_> {
-    type Output = Vec<Pair>;
+    type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Vec<Pair> {
+    fn with_simd<S: Simd>(self, simd: S) {
         if fused::<S>() { self.run::<S, true>(simd) } else { self.run::<S, false>(simd) }
     }
 }
 
 impl Towards<'_> {
     #[inline(always)]
-    fn run<S: Simd, const FUSED: bool>(&self, simd: S) -> Vec<Pair> {
+    fn run<S: Simd, const FUSED: bool>(mut self, simd: S) {
         /// Vectors side by side: one alone waits for itself.
         const SIDE: usize = 2;
         let on = Vector::<S, FUSED>(simd);
         let width = S::F64_LANES;
         let table = Factors::reaching(self.terms.len() + 1);
-        let mut found = vec![Pair::default(); self.versines.len()];
-        for (versines, found) in self.versines.chunks(SIDE * width).zip(found.chunks_mut(SIDE * width)) {
-            let mut padded = [[0.0; BATCH]; SIDE];
-            for (padded, versines) in padded.iter_mut().zip(versines.chunks(width)) {
-                padded[..versines.len()].copy_from_slice(versines);
+        let mut first = 0;
+        while first < self.half {
+            let count = (self.half - first).min(SIDE * width);
+            let mut versines = [[0.0; BATCH]; SIDE];
+            for (versines, directions) in
+                versines.iter_mut().zip(self.directions[first..first + count].chunks(width))
+            {
+                for (versine, direction) in versines.iter_mut().zip(directions) {
+                    *versine = direction.versine;
+                }
             }
-            if versines.len() > width {
-                self.pairs::<S, FUSED, SIDE>(on, &table, &padded, found);
+            if count > width {
+                self.pairs::<S, FUSED, SIDE>(on, &table, &versines, first);
             } else {
-                self.pairs::<S, FUSED, 1>(on, &table, &padded, found);
+                self.pairs::<S, FUSED, 1>(on, &table, &versines, first);
             }
+            first += count;
         }
-        found
     }
 
+    /// The directions of `SIDE` vectors from `first` on, and their mirror images.
     #[inline(always)]
     fn pairs<S: Simd, const FUSED: bool, const SIDE: usize>(
-        &self,
+        &mut self,
         on: Vector<S, FUSED>,
         table: &Factors,
         versines: &[[f64; BATCH]; 2],
-        found: &mut [Pair],
+        first: usize,
     ) {
         let width = S::F64_LANES;
         let mut sums = [Amplitudes::<S>::nothing(on); SIDE];
@@ -267,17 +238,29 @@ impl Towards<'_> {
             }
             n += 1;
         }
-        for (sums, found) in sums.iter().zip(found.chunks_mut(width)) {
-            let store = |part: [S::f64s; 2]| (on.store(part[0]), on.store(part[1]));
-            let parts = [store(sums.u1), store(sums.v1), store(sums.u2), store(sums.v2)];
-            for (i, found) in found.iter_mut().enumerate() {
-                let [u1, v1, u2, v2] =
-                    [0, 1, 2, 3].map(|p: usize| Complex::new(parts[p].0[i], parts[p].1[i]));
-                *found = Pair { u1, v1, u2, v2 };
+        let last = self.directions.len() - 1;
+        for (s, sums) in sums.iter().enumerate() {
+            let [ahead, behind] = sums.both(on);
+            let begin = first + s * width;
+            for at in begin..(begin + width).min(self.half) {
+                let lane = at - begin;
+                let of = |parts: &[[f64; BATCH]; 4]| {
+                    (
+                        Complex::new(parts[0][lane], parts[1][lane]),
+                        Complex::new(parts[2][lane], parts[3][lane]),
+                    )
+                };
+                let backward = self.directions[at].backward;
+                self.found[at] = of(if backward { &behind } else { &ahead });
+                // The mirror image, where it is one of the directions.
+                if last - at >= self.half {
+                    self.found[last - at] = of(if backward { &ahead } else { &behind });
+                }
             }
         }
     }
 }
+
 #[cfg(test)]
 mod tests {
     use super::*;

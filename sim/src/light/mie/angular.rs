@@ -4,6 +4,7 @@
 //! the sums of the even and of the odd parts give both.
 
 use super::factors::Factor;
+use super::kernel::BATCH;
 use super::vector::Vector;
 use pulp::Simd;
 
@@ -105,6 +106,26 @@ impl<S: Simd> Amplitudes<S> {
             u2: added(on, self.u2, factors.a, tau),
             v2: added(on, self.v2, factors.b, pi),
         }
+    }
+
+    /// Re S₁, Im S₁, Re S₂, Im S₂ at μ and at −μ.
+    #[inline(always)]
+    pub(super) fn both<const FUSED: bool>(self, on: Vector<S, FUSED>) -> [[[f64; BATCH]; 4]; 2] {
+        let Self { u1, v1, u2, v2 } = self;
+        [
+            [
+                on.store(on.add(u1[0], v1[0])),
+                on.store(on.add(u1[1], v1[1])),
+                on.store(on.add(u2[0], v2[0])),
+                on.store(on.add(u2[1], v2[1])),
+            ],
+            [
+                on.store(on.sub(u1[0], v1[0])),
+                on.store(on.sub(u1[1], v1[1])),
+                on.store(on.sub(u2[0], v2[0])),
+                on.store(on.sub(u2[1], v2[1])),
+            ],
+        ]
     }
 
     /// The even and the odd part of |S₁|² + |S₂|².

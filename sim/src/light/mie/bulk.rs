@@ -4,13 +4,9 @@
 //! absorbing droplets needs thousands (ripple and whispering-gallery lines), the pattern a few hundred.
 
 use super::pattern::Pattern;
-use super::polydisperse::{Lognormal, Polydisperse, lognormal};
+use super::polydisperse::{Effort, Lognormal, Polydisperse, means};
 use super::{MieError, Sphere};
 
-/// Intervals of ln r that the pattern starts with …
-const RADII_FIRST: usize = 64;
-/// … and ends with at the latest.
-const RADII_LAST: usize = 1 << 16;
 /// Means and pattern of a size distribution at one wavelength.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bulk {
@@ -26,20 +22,34 @@ pub struct Bulk {
 
 /// Mean efficiencies, mean cosine and pattern over `sizes` at one wavelength and index.
 ///
-/// The means to a relative error of `target` as [`lognormal`], the cumulative distribution of the pattern to an
+/// The means to a relative error of `target` as [`lognormal`](super::lognormal), the cumulative distribution of the pattern to an
 /// absolute one, each judged by the last doublings of its number of radii; sizes that weigh less than 0.03 `target` of
-/// the heaviest are left out of the pattern. Runs on rayon's threads; the answer does
-/// not depend on their number.
+/// the heaviest are left out of the pattern. Runs on rayon's threads; the answer does not depend on their number.
 ///
 /// # Errors
 ///
-/// As [`lognormal`].
+/// As [`lognormal`](super::lognormal).
 pub fn bulk(sizes: Lognormal, wavelength_um: f64, n: f64, k: f64, target: f64) -> Result<Bulk, MieError> {
-    let means = lognormal(sizes, wavelength_um, n, k, target)?;
+    bulk_with(sizes, wavelength_um, n, k, &Effort::to(target))
+}
+
+/// [`bulk`] with an effort.
+///
+/// # Errors
+///
+/// As [`lognormal`](super::lognormal).
+pub fn bulk_with(
+    sizes: Lognormal,
+    wavelength_um: f64,
+    n: f64,
+    k: f64,
+    effort: &Effort,
+) -> Result<Bulk, MieError> {
+    let means = means(sizes, wavelength_um, n, k, effort)?;
     let x_median = sizes.median_size_parameter(wavelength_um)?;
     let over = |nodes: &[(f64, f64)]| {
         let heaviest = nodes.iter().fold(0.0f64, |heaviest, node| heaviest.max(node.1));
-        let kept = nodes.iter().filter(|node| node.1 > 0.03 * target * heaviest);
+        let kept = nodes.iter().filter(|node| node.1 > 0.03 * effort.target * heaviest);
         // Number of droplets ∝ area/x².
         let (spheres, numbers): (Vec<Sphere>, Vec<f64>) =
             kept.map(|&(x, weight)| (Sphere { size_parameter: x, n, k }, weight / (x * x))).unzip();
@@ -50,14 +60,14 @@ pub fn bulk(sizes: Lognormal, wavelength_um: f64, n: f64, k: f64, target: f64) -
         return Ok(Bulk { means, pattern, pattern_radii: 1, pattern_error: 0.0 });
     }
     let rule = sizes.rule(x_median);
-    let mut radii = RADII_FIRST;
+    let [mut radii, last] = effort.pattern_radii.map(|radii| radii.max(1));
     let mut sum = over(&rule.first(radii))?;
     loop {
         let finer = sum.clone().and(&over(&rule.between(radii))?);
         radii *= 2;
         // The largest of many angles: no small change by luck, as one number could have.
         let error = finer.distance(&sum);
-        if error <= target || radii >= RADII_LAST {
+        if (effort.adaptive && error <= effort.target) || radii >= last {
             return Ok(Bulk {
                 means,
                 pattern: finer.normalised(),
@@ -71,7 +81,7 @@ pub fn bulk(sizes: Lognormal, wavelength_um: f64, n: f64, k: f64, target: f64) -
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Direction, cumulative};
+    use super::super::{Direction, cumulative, lognormal};
     use super::*;
 
     #[test]
@@ -102,6 +112,18 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn a_number_of_radii_is_kept_and_its_error_told() {
+        let sizes = Lognormal { median_radius_um: 5.0, sigma_ln: 0.5 };
+        let found = bulk_with(sizes, 4.0, 1.38, 5e-4, &Effort::of_radii(1e-4, 1024, 128)).unwrap();
+        assert_eq!((found.means.radii, found.pattern_radii), (1024, 128));
+        let fine = lognormal(sizes, 4.0, 1.38, 5e-4, 1e-7).unwrap();
+        let error = (found.means.q_abs / fine.q_abs - 1.0).abs();
+        // Far too few for this absorption, and it says so.
+        assert!(error > 1e-4 && error < 3.0 * found.means.error, "{error:e} {:e}", found.means.error);
+        assert!(found.pattern_error > 1e-4);
     }
 
     #[test]

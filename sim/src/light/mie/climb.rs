@@ -34,7 +34,7 @@ pub(super) struct Climb<S: Simd> {
     /// (m − 1)/m.
     shrink: Complexes<S::f64s>,
     /// (1 − m)(1 + m)/(m² x).
-    step: Complexes<S::f64s>,
+    pub(super) step: Complexes<S::f64s>,
     /// First order that is not there.
     beyond: S::f64s,
     pub(super) psi: S::f64s,
@@ -86,7 +86,7 @@ impl<S: Simd> Climb<S> {
         on: Vector<S, FUSED>,
         factor: Factor,
         ratios: Ratios<S::f64s>,
-        difference: S::f64s,
+        difference: Complexes<S::f64s>,
     ) -> Order<S::f64s> {
         let Ratios { outside, inside } = ratios;
         let Self { m, psi, chi, .. } = *self;
@@ -102,16 +102,20 @@ impl<S: Simd> Climb<S> {
         let u_b =
             Complexes { re: on.sub(turned.im, straight.re), im: on.neg(on.add(straight.im, turned.re)) };
         let (top_a, top_b) = if NEAR {
-            let rising = on.add(rise.re, difference);
-            let (a, b) = (self.shrink, self.one_less_m);
-            let by_a = on.sub_mul(on.mul_add(a.re, inside.re, rising), a.im, inside.im);
-            let by_b = on.sub_mul(on.mul_add(b.re, inside.re, difference), b.im, inside.im);
-            (on.mul(psi, by_a), on.mul(psi, by_b))
+            // Every part of these is of the order of m − 1, which is lost where parts of u are added.
+            let rising = Complexes { re: on.add(rise.re, difference.re), im: on.add(rise.im, difference.im) };
+            let top_a = rising.plus(on, self.shrink.times(on, inside));
+            let top_b = difference.plus(on, self.one_less_m.times(on, inside));
+            (top_a.scaled(on, psi), top_b.scaled(on, psi))
         } else {
-            (on.mul_add(psi, u_a.re, psi_above), on.mul_add(psi, u_b.re, psi_above))
+            let top = |u: Complexes<S::f64s>| Complexes {
+                re: on.mul_add(psi, u.re, psi_above),
+                im: on.mul(psi, u.im),
+            };
+            (top(u_a), top(u_b))
         };
-        let half_a = Half::new(on, top_a, u_a, psi, chi, chi_above);
-        let half_b = Half::new(on, top_b, u_b, psi, chi, chi_above);
+        let half_a = Half::new(on, top_a, u_a, chi, chi_above);
+        let half_b = Half::new(on, top_b, u_b, chi, chi_above);
         let mut inverse = on.div(on.all(1.0), on.mul(half_a.bottom, half_b.bottom));
         self.psi = psi_above;
         if ENDING {
@@ -159,21 +163,19 @@ impl<T: Copy> Half<T> {
     #[inline(always)]
     fn new<S: Simd<f64s = T>, const FUSED: bool>(
         on: Vector<S, FUSED>,
-        top_re: T,
+        top: Complexes<T>,
         u: Complexes<T>,
-        psi: T,
         chi: T,
         chi_above: T,
     ) -> Self {
-        let top_im = on.mul(psi, u.im);
         let other_re = on.mul_add(chi, u.re, chi_above);
         let other_im = on.mul(chi, u.im);
-        let top_square = on.mul_add(top_re, top_re, on.mul(top_im, top_im));
+        let top_square = top.norm_sqr(on);
         let other_square = on.mul_add(other_re, other_re, on.mul(other_im, other_im));
         Self {
             top_square,
             bottom: on.add(on.sub(top_square, on.add(u.im, u.im)), other_square),
-            cross: on.mul_add(top_re, other_re, on.mul(top_im, other_im)),
+            cross: on.mul_add(top.re, other_re, on.mul(top.im, other_im)),
         }
     }
 }

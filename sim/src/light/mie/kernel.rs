@@ -6,7 +6,7 @@
 //!
 //! 1. r_n by downward recurrence, r_{n−1} = 1/((2n+1)/z − r_n). It maps the upper half-plane into itself, so Im r
 //!    keeps its relative accuracy however weak the absorption.
-//! 2. For m → 1 the real part of N from D_n = r_n(x) − r_n(z), which has a recurrence of its own,
+//! 2. For m → 1 both parts of N from D_n = r_n(x) − r_n(z), which has a recurrence of its own,
 //!    D_{n−1} = ((2n+1)(1−m)/(m x) + D_n) r_{n−1}(x) r_{n−1}(z), a sum of equal signs.
 //! 3. With the Wronskian ψ_nχ_{n+1} − ψ_{n+1}χ_n = 1 the denominator is |N|² + |M|² − 2q, and
 //!    Re a − |a|² = −q/|N − iM|²: sums of positive terms (q ≤ 0), so that no cross-section is ever a difference.
@@ -55,8 +55,8 @@ impl Lane {
 /// Workspace that is used again for every batch.
 pub(super) struct Workspace<S: Simd, const V: usize> {
     ratios: Vec<[Ratios<S::f64s>; V]>,
-    /// Re D_n.
-    differences: Vec<[S::f64s; V]>,
+    /// D_n.
+    differences: Vec<[Complexes<S::f64s>; V]>,
     /// For series that are longer than [`TABLE`].
     factors: Factors,
 }
@@ -154,7 +154,7 @@ impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
         longest
     }
 
-    /// r_n(x), r_n(z) for n = 0 … `orders`; with `NEAR` also Re D_n.
+    /// r_n(x), r_n(z) for n = 0 … `orders`; with `NEAR` also D_n.
     #[inline(always)]
     #[expect(
         clippy::needless_range_loop,
@@ -172,7 +172,7 @@ impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
             }
         }
         if NEAR && workspace.differences.len() <= orders {
-            workspace.differences.resize(orders + 1, [nothing; V]);
+            workspace.differences.resize(orders + 1, [Complexes { re: nothing, im: nothing }; V]);
         }
         let mut descents = [Descent::<S>::new(on, &self.spheres[0]); V];
         for v in 1..V {
@@ -185,7 +185,7 @@ impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
                 if n <= orders + 1 {
                     workspace.ratios[n - 1][v] = descents[v].ratios;
                     if NEAR {
-                        workspace.differences[n - 1][v] = descents[v].difference.re;
+                        workspace.differences[n - 1][v] = descents[v].difference;
                     }
                 }
             }
@@ -201,7 +201,7 @@ impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
                 descents[v] = descents[v].step::<FUSED, NEAR, false>(on, n);
                 workspace.ratios[n - 1][v] = descents[v].ratios;
                 if NEAR {
-                    workspace.differences[n - 1][v] = descents[v].difference.re;
+                    workspace.differences[n - 1][v] = descents[v].difference;
                 }
             }
         }
@@ -221,13 +221,13 @@ impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
         let table = workspace.factors();
         for n in 1..=spheres.ends.0 {
             let factor = table.at(n);
-            let difference = if NEAR { workspace.differences[n][v] } else { climb.psi };
+            let difference = if NEAR { workspace.differences[n][v] } else { climb.step };
             let ratios = workspace.ratios[n][v];
             sink.take(factor, climb.step::<FUSED, NEAR, false>(on, factor, ratios, difference));
         }
         for n in spheres.ends.0 + 1..=spheres.ends.1 {
             let factor = table.at(n);
-            let difference = if NEAR { workspace.differences[n][v] } else { climb.psi };
+            let difference = if NEAR { workspace.differences[n][v] } else { climb.step };
             let ratios = workspace.ratios[n][v];
             sink.take(factor, climb.step::<FUSED, NEAR, true>(on, factor, ratios, difference));
         }

@@ -28,10 +28,10 @@ mod trig;
 mod vector;
 
 pub use amplitudes::{Direction, amplitudes, amplitudes_towards, phase};
-pub use bulk::{Bulk, bulk};
+pub use bulk::{Bulk, bulk, bulk_with};
 pub use cumulative::cumulative;
 pub use pattern::Pattern;
-pub use polydisperse::{Lognormal, Polydisperse, lognormal};
+pub use polydisperse::{Effort, Lognormal, Polydisperse, lognormal};
 pub use series::{efficiencies, efficiencies_of_many, efficiencies_refined};
 
 /// What a sphere does to light, per geometric cross-section πr², and where the scattered light goes.

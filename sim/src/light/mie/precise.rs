@@ -10,12 +10,11 @@ use super::Sphere;
 use super::double::{Double, DoubleComplex};
 use super::series::{SIZE_MIN, cube_root, integer, series_length};
 use super::sums::Sums;
-use crate::light::complex::Complex;
 
-/// Sums over the series, and its coefficients a_n, b_n from n = 1 on.
+/// Sums over the series, and its terms: coefficients of n = 1, 2 … as in `series::terms`.
 pub(super) struct Precise {
     pub(super) sums: Sums,
-    pub(super) coefficients: Vec<(Complex, Complex)>,
+    pub(super) terms: Vec<[f64; 4]>,
 }
 
 /// One coefficient N/(N − iM) and what it is made of.
@@ -94,7 +93,7 @@ struct Adding {
     forward: Double,
     back: DoubleComplex,
     below: (DoubleComplex, DoubleComplex),
-    coefficients: Vec<(Complex, Complex)>,
+    terms: Vec<[f64; 4]>,
 }
 
 impl Default for Adding {
@@ -106,7 +105,7 @@ impl Default for Adding {
             forward: Double::ZERO,
             back: zero,
             below: (zero, zero),
-            coefficients: Vec::new(),
+            terms: Vec::new(),
         }
     }
 }
@@ -127,8 +126,7 @@ impl Adding {
         self.back.re = self.back.re + difference.re * sign;
         self.back.im = self.back.im + difference.im * sign;
         self.below = (a, b);
-        let number = |z: DoubleComplex| Complex::new(z.re.value(), z.im.value());
-        self.coefficients.push((number(a), number(b)));
+        self.terms.push([a.re, a.im, b.re, b.im].map(|part| (part * across).value()));
     }
 
     fn finish(self) -> Precise {
@@ -140,7 +138,7 @@ impl Adding {
                 back: self.back.norm_sqr().value(),
                 strain: 0.0,
             },
-            coefficients: self.coefficients,
+            terms: self.terms,
         }
     }
 }

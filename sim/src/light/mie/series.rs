@@ -7,10 +7,8 @@ use super::climb::Order;
 use super::factors::Factor;
 use super::kernel::{BATCH, Batch, Lane, Workspace};
 use super::precise::Precise;
-use super::sums::{Adding, Sink, Sums};
-use super::vector::Complexes;
+use super::sums::{Sink, Sums};
 use super::{Efficiencies, MieError, Sphere};
-use crate::light::complex::Complex;
 use pulp::{Scalar, Simd};
 
 /// Below this size the leading terms are scaled from here: their corrections are of the order (|m| x)², below 1e-30.
@@ -83,13 +81,19 @@ pub fn efficiencies_refined(spheres: &[Sphere]) -> Result<(Vec<Efficiencies>, us
     Ok((answers, again))
 }
 
+/// Magnification of roundings from which twice the precision is worth it.
+const STRAIN: f64 = 20.0;
+
 /// Whether the sums have lost digits that twice the precision would give back.
 fn strained(sphere: &Sphere, sums: &Sums) -> bool {
-    /// Magnification of roundings from which it is worth it …
-    const STRAIN: f64 = 20.0;
-    /// … and largest |m| x for which it is affordable: seconds.
+    sums.strain > STRAIN && affordable(sphere)
+}
+
+/// Whether twice the precision takes seconds at most.
+fn affordable(sphere: &Sphere) -> bool {
+    /// Largest |m| x.
     const INSIDE: f64 = 1e6;
-    sums.strain > STRAIN && sphere.size_parameter * sphere.n.hypot(sphere.k).max(1.0) <= INSIDE
+    sphere.size_parameter * sphere.n.hypot(sphere.k).max(1.0) <= INSIDE
 }
 
 /// Whether the index is so close to 1 that differences need care.
@@ -239,28 +243,29 @@ fn scaled(sphere: Sphere, sums: Sums) -> Efficiencies {
     q
 }
 
-/// Coefficients a_n and b_n of one sphere for n = 1 … N, empty when x = 0; in twice the precision where it matters.
-pub(super) fn coefficients(sphere: Sphere) -> Vec<(Complex, Complex)> {
-    let (list, sums) = pulp::Arch::new().dispatch(Coefficients(sphere));
-    if strained(&sphere, &sums) { Precise::new(sphere).coefficients } else { list }
+/// Re a_n, Im a_n, Re b_n, Im b_n of one sphere for n = 1 … N, each times (2n+1)/(n(n+1)); empty when x = 0. In twice
+/// the precision where roundings would be magnified in the amplitudes.
+pub(super) fn terms(sphere: Sphere) -> Vec<[f64; 4]> {
+    let list = pulp::Arch::new().dispatch(Terms(sphere));
+    if list.strain() > STRAIN && affordable(&sphere) { Precise::new(sphere).terms } else { list.terms }
 }
 
-struct Coefficients(Sphere);
+struct Terms(Sphere);
 
-impl pulp::WithSimd for Coefficients {
-    type Output = (Vec<(Complex, Complex)>, Sums);
+impl pulp::WithSimd for Terms {
+    type Output = List;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
+    fn with_simd<S: Simd>(self, _: S) -> List {
         if fused::<S>() { listed::<true>(self.0) } else { listed::<false>(self.0) }
     }
 }
 
 #[inline(always)]
-fn listed<const FUSED: bool>(sphere: Sphere) -> (Vec<(Complex, Complex)>, Sums) {
+fn listed<const FUSED: bool>(sphere: Sphere) -> List {
     let batch = Batch::<Scalar, FUSED, 1>::new(Scalar, &[Lane::new(sphere)]);
     let mut workspace = Workspace::new();
-    let mut list = List { list: Vec::with_capacity(batch.orders()), adding: batch.adding() };
+    let mut list = List { terms: Vec::with_capacity(batch.orders()), forward: 0.0, shift: 0.0 };
     if near(&sphere) {
         batch.descend::<true>(&mut workspace);
         batch.climb::<true>(&workspace, 0, &mut list);
@@ -268,23 +273,33 @@ fn listed<const FUSED: bool>(sphere: Sphere) -> (Vec<(Complex, Complex)>, Sums) 
         batch.descend::<false>(&mut workspace);
         batch.climb::<false>(&workspace, 0, &mut list);
     }
-    let mut sums = [Sums::default()];
-    list.adding.finish(&mut sums);
-    (list.list, sums[0])
+    list
 }
 
-/// The coefficients as a list, and their sums.
-struct List<const FUSED: bool> {
-    list: Vec<(Complex, Complex)>,
-    adding: Adding<Scalar, FUSED, true>,
+/// Terms of the amplitudes.
+struct List {
+    terms: Vec<[f64; 4]>,
+    /// Σ (2n+1) (Re a + Re b): twice the forward amplitude.
+    forward: f64,
+    /// The largest ((2n+1) shift)² of an order.
+    shift: f64,
 }
 
-impl<const FUSED: bool> Sink<f64> for List<FUSED> {
+impl List {
+    /// How much roundings are magnified in the amplitudes, by the worst order.
+    fn strain(&self) -> f64 {
+        // A pattern that is no number is computed again, too.
+        if self.shift <= 0.0 { 0.0 } else { self.shift.sqrt() / self.forward.abs().max(f64::MIN_POSITIVE) }
+    }
+}
+
+impl Sink<f64> for List {
     #[inline(always)]
     fn take(&mut self, factor: Factor, order: Order<f64>) {
-        let number = |z: Complexes<f64>| Complex::new(z.re, z.im);
-        self.list.push((number(order.a), number(order.b)));
-        self.adding.take(factor, order);
+        let w = factor.across;
+        self.terms.push([order.a.re * w, order.a.im * w, order.b.re * w, order.b.im * w]);
+        self.forward += factor.odd * (order.a.re + order.b.re);
+        self.shift = self.shift.max(order.shift * (factor.odd * factor.odd));
     }
 }
 

@@ -38,6 +38,8 @@ pub(super) struct Adding<S: Simd, const FUSED: bool, const WATCH: bool> {
     scattered_shift: S::f64s,
     kept_shift: S::f64s,
     forward_shift: S::f64s,
+    /// Σ of the absolute terms of `forward`.
+    forward_size: S::f64s,
     scattered_below: S::f64s,
 }
 
@@ -56,6 +58,7 @@ impl<S: Simd, const FUSED: bool, const WATCH: bool> Adding<S, FUSED, WATCH> {
             scattered_shift: nothing,
             kept_shift: nothing,
             forward_shift: nothing,
+            forward_size: nothing,
             scattered_below: nothing,
         }
     }
@@ -67,6 +70,7 @@ impl<S: Simd, const FUSED: bool, const WATCH: bool> Adding<S, FUSED, WATCH> {
         let absorbed = on.store(self.absorbed);
         let forward = on.store(self.forward);
         let back = on.store(self.back.norm_sqr(on));
+        let forward_size = on.store(self.forward_size);
         let shifts = [self.scattered_shift, self.kept_shift, self.forward_shift];
         let shifts = [on.store(shifts[0]), on.store(shifts[1]), on.store(shifts[2])];
         for (i, sums) in sums.iter_mut().enumerate() {
@@ -81,6 +85,7 @@ impl<S: Simd, const FUSED: bool, const WATCH: bool> Adding<S, FUSED, WATCH> {
                     of(shifts[0][i], scattered[i])
                         .max(of(shifts[1][i], absorbed[i]))
                         .max(of(shifts[2][i], forward[i]))
+                        .max(of(forward_size[i] * forward_size[i], forward[i]))
                 } else {
                     0.0
                 },
@@ -111,6 +116,11 @@ impl<S: Simd, const FUSED: bool, const WATCH: bool> Sink<S::f64s> for Adding<S, 
         let steps = on.mul_add(self.below.0.re, a.re, on.mul(self.below.0.im, a.im));
         let others = on.mul_add(self.below.1.re, b.re, on.mul(self.below.1.im, b.im));
         let steps = on.add(steps, others);
+        if WATCH {
+            let size = on.mul(on.abs(steps), on.all(factor.along));
+            let size = on.mul_add(on.abs(pair), on.all(factor.across), size);
+            self.forward_size = on.add(self.forward_size, size);
+        }
         self.forward = on.mul_add(pair, on.all(factor.across), self.forward);
         self.forward = on.mul_add(steps, on.all(factor.along), self.forward);
         let alternating = on.all(factor.alternating);

@@ -85,6 +85,12 @@ impl<S: Simd, const FUSED: bool> Vector<S, FUSED> {
         self.select(self.at_most(a, b), b, a)
     }
 
+    /// |a|.
+    #[inline(always)]
+    pub(super) fn abs(self, a: S::f64s) -> S::f64s {
+        self.0.abs_f64s(a)
+    }
+
     /// a ≤ b.
     #[inline(always)]
     pub(super) fn at_most(self, a: S::f64s, b: S::f64s) -> S::m64s {
@@ -119,6 +125,15 @@ impl<T: Copy> Complexes<T> {
             re: on.mul_sub(self.re, other.re, on.mul(self.im, other.im)),
             im: on.mul_add(self.re, other.im, on.mul(self.im, other.re)),
         }
+    }
+
+    #[inline(always)]
+    pub(super) fn plus<S: Simd<f64s = T>, const FUSED: bool>(
+        self,
+        on: Vector<S, FUSED>,
+        other: Self,
+    ) -> Self {
+        Self { re: on.add(self.re, other.re), im: on.add(self.im, other.im) }
     }
 
     #[inline(always)]
