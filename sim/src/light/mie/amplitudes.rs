@@ -2,9 +2,8 @@
 
 use super::angular::{Amplitudes, Angles, Coefficients};
 use super::factors::Factors;
-use super::kernel::BATCH;
 use super::series::{efficiencies, fused, terms};
-use super::vector::Vector;
+use super::vector::{BATCH, Vector};
 use super::{MieError, Sphere};
 use crate::light::complex::Complex;
 use pulp::Simd;

@@ -4,8 +4,7 @@
 //! the sums of the even and of the odd parts give both.
 
 use super::factors::Factor;
-use super::kernel::BATCH;
-use super::vector::Vector;
+use super::vector::{BATCH, Vector};
 use pulp::Simd;
 
 /// π_n and τ_n at one vector of angles with μ ≥ 0, order by order from 1.

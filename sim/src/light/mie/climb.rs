@@ -2,7 +2,7 @@
 
 use super::descent::Ratios;
 use super::factors::Factor;
-use super::kernel::Spheres;
+use super::spheres::Spheres;
 use super::trig::sine_cosine;
 use super::vector::{Complexes, Vector};
 use pulp::Simd;

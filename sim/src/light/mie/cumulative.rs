@@ -1,7 +1,8 @@
 //! The exact cumulative distribution of the scattering angle.
 
 use super::amplitudes::{Direction, Terms};
-use super::series::{efficiencies, series_length};
+use super::lengths::series_length;
+use super::series::efficiencies;
 use super::{MieError, Sphere};
 use crate::light::quadrature::gauss_legendre_unit;
 

@@ -1,6 +1,6 @@
 //! The way down: ratios of neighbouring Riccati–Bessel functions, from beyond |m| x to order 0.
 
-use super::kernel::Spheres;
+use super::spheres::Spheres;
 use super::vector::{Complexes, Vector};
 use pulp::Simd;
 

@@ -17,40 +17,14 @@
 //! times as many. With 8 numbers a vector, one such operation a cycle and 9 cycles a division: 11 cycles an order and
 //! sphere (measured on a quiet core: 65 cycles a vector upward, 21 downward).
 
-use super::Sphere;
 use super::climb::Climb;
 use super::descent::{Descent, Ratios};
 use super::factors::{FACTORS, Factors, TABLE};
-use super::series::{SIZE_MIN, cube_root, integer, series_length};
+use super::lengths::{Lane, integer};
+use super::spheres::Spheres;
 use super::sums::{Adding, Sink, Sums};
 use super::vector::{Complexes, Vector};
 use pulp::Simd;
-
-/// Spheres of one batch.
-pub(super) const BATCH: usize = 16;
-/// What a sphere of a batch is, and how far its recurrences go.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Lane {
-    pub(super) sphere: Sphere,
-    /// Last order, 0 when there is no sphere (x = 0).
-    pub(super) last: f64,
-    /// Order at which the downward recurrence starts.
-    pub(super) start: f64,
-}
-
-impl Lane {
-    #[inline(always)]
-    pub(super) fn new(sphere: Sphere) -> Self {
-        let x = sphere.size_parameter.max(SIZE_MIN);
-        let last = series_length(x);
-        let square = sphere.n * sphere.n + sphere.k * sphere.k;
-        let z = x * square.sqrt().max(1.0);
-        // Past |z| until the start is forgotten, and a little past the last order: for small spheres the recurrence
-        // forgets three digits a step there, and the last terms need few.
-        let start = (z + 8.0 * cube_root(z) + 8.0).max(last + 4.0).floor();
-        Self { sphere, last: if sphere.size_parameter > 0.0 { last } else { 0.0 }, start }
-    }
-}
 
 /// Workspace that is used again for every batch.
 pub(super) struct Workspace<S: Simd, const V: usize> {
@@ -69,52 +43,6 @@ impl<S: Simd, const V: usize> Workspace<S, V> {
     #[inline(always)]
     fn factors(&self) -> &Factors {
         if self.ratios.len() <= TABLE { &FACTORS } else { &self.factors }
-    }
-}
-
-/// One vector of spheres with the constants of their recurrences.
-#[derive(Clone, Copy)]
-pub(super) struct Spheres<S: Simd> {
-    pub(super) x: S::f64s,
-    pub(super) x_inverse: S::f64s,
-    pub(super) m: Complexes<S::f64s>,
-    pub(super) m_inverse: Complexes<S::f64s>,
-    /// 1/|m|².
-    pub(super) square_inverse: S::f64s,
-    pub(super) last: S::f64s,
-    pub(super) start: S::f64s,
-    /// First and last order at which a series ends.
-    ends: (usize, usize),
-}
-
-impl<S: Simd> Spheres<S> {
-    #[inline(always)]
-    fn new<const FUSED: bool>(on: Vector<S, FUSED>, lanes: &[Lane]) -> Self {
-        let mut columns = [[0.0; BATCH]; 5];
-        let mut ends = (usize::MAX, 0);
-        for (i, lane) in lanes.iter().enumerate() {
-            columns[0][i] = lane.sphere.size_parameter.max(SIZE_MIN);
-            columns[1][i] = lane.sphere.n;
-            columns[2][i] = lane.sphere.k;
-            columns[3][i] = lane.last;
-            columns[4][i] = lane.start;
-            let last = integer(lane.last);
-            ends = (ends.0.min(last), ends.1.max(last));
-        }
-        let x = on.load(&columns[0]);
-        let m = Complexes { re: on.load(&columns[1]), im: on.load(&columns[2]) };
-        let one = on.all(1.0);
-        let square_inverse = on.div(one, m.norm_sqr(on));
-        Self {
-            x,
-            x_inverse: on.div(one, x),
-            m,
-            m_inverse: m.conj(on).scaled(on, square_inverse),
-            square_inverse,
-            last: on.load(&columns[3]),
-            start: on.load(&columns[4]),
-            ends,
-        }
     }
 }
 

@@ -2,9 +2,8 @@
 //!
 //! A sphere with N orders scatters a polynomial of degree 2N in cos θ, so the series is exact.
 
-use super::kernel::BATCH;
 use super::series::fused;
-use super::vector::Vector;
+use super::vector::{BATCH, Vector};
 use pulp::Simd;
 use std::f64::consts::PI;
 

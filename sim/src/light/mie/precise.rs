@@ -8,7 +8,7 @@
 
 use super::Sphere;
 use super::double::{Double, DoubleComplex};
-use super::series::{SIZE_MIN, cube_root, integer, series_length};
+use super::lengths::{SIZE_MIN, cube_root, integer, series_length};
 use super::sums::Sums;
 
 /// Sums over the series, and its terms: coefficients of n = 1, 2 … as in `series::terms`.

@@ -1,18 +1,15 @@
 //! Efficiencies of one sphere and of many: sums over the Mie series, spheres of similar size side by side.
-//!
-//! Length of the series after Wiscombe, Appl. Opt. 19, 1505 (1980), longer here: his N costs 1e-9 in Q_ext of
-//! absorbing spheres.
 
 use super::climb::Order;
 use super::factors::Factor;
-use super::kernel::{BATCH, Batch, Lane, Workspace};
+use super::kernel::{Batch, Workspace};
+use super::lengths::{Lane, SIZE_MIN};
 use super::precise::Precise;
 use super::sums::{Sink, Sums};
+use super::vector::BATCH;
 use super::{Efficiencies, MieError, Sphere};
 use pulp::{Scalar, Simd};
 
-/// Below this size the leading terms are scaled from here: their corrections are of the order (|m| x)², below 1e-30.
-pub(super) const SIZE_MIN: f64 = 1e-20;
 /// Indices closer to 1 than this take the recurrence of the difference; beyond it its subtraction costs one digit.
 const NEAR: f64 = 0.1;
 
@@ -301,30 +298,6 @@ impl Sink<f64> for List {
         self.forward += factor.odd * (order.a.re + order.b.re);
         self.shift = self.shift.max(order.shift * (factor.odd * factor.odd));
     }
-}
-
-/// Length of the series: terms beyond it are below the rounding of the sum.
-pub(super) fn series_length(size_parameter: f64) -> f64 {
-    (size_parameter + 7.4 * cube_root(size_parameter) + 4.0).floor()
-}
-
-/// The cube root to 0.2 %, never less than 0.999 of it: an exponent divided by three and one step of Newton's. Lengths of series
-/// need no more.
-#[inline(always)]
-pub(super) fn cube_root(x: f64) -> f64 {
-    // Kahan's first guess, within 5 % (BSD's s_cbrt.c): a third of the bits and two thirds of the bias.
-    let guess = f64::from_bits(x.to_bits() / 3 + (715_094_163 << 32));
-    (2.0 * guess + x / (guess * guess)) * (1.0 / 3.0)
-}
-
-/// A number of orders: whole, and at most a few times [`super::SIZE_MAX`].
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "bounded by SIZE_MAX, not negative"
-)]
-pub(super) fn integer(count: f64) -> usize {
-    count.clamp(0.0, 4.0 * super::SIZE_MAX) as usize
 }
 
 #[cfg(test)]

@@ -10,11 +10,12 @@
 use super::angular::{Amplitudes, Angles, Coefficients};
 use super::climb::Order;
 use super::factors::{Factor, Factors};
-use super::kernel::{BATCH, Batch, Lane, Workspace};
+use super::kernel::{Batch, Workspace};
+use super::lengths::Lane;
 use super::pattern::Pattern;
 use super::series::{by_size, fused, near};
 use super::sums::Sink;
-use super::vector::Vector;
+use super::vector::{BATCH, Vector};
 use super::{MieError, Sphere};
 use pulp::Simd;
 use rayon::prelude::*;

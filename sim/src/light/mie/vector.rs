@@ -3,8 +3,10 @@
 //! A product and a sum are one operation (rounded once) where the machine has it, and two where it would be a slow
 //! library call: the bits are those of one CPU feature level. One sphere alone takes the same operations as many.
 
-use super::kernel::BATCH;
 use pulp::Simd;
+
+/// Most spheres, or angles, of one batch: all lanes of all its vectors.
+pub(super) const BATCH: usize = 16;
 
 /// Operations on `S::f64s`; `FUSED` says that the machine multiplies and adds in one operation.
 #[derive(Clone, Copy)]
