@@ -14,6 +14,8 @@ pub(super) struct Order<T> {
     pub(super) b: Complexes<T>,
     /// |a|² + |b|².
     pub(super) scattered: T,
+    /// |a|² |b|².
+    pub(super) product: T,
     /// |a|² − Re a + |b|² − Re b.
     pub(super) kept: T,
     /// A rounding of M moves a coefficient by χ_{n+1}/|N − iM| of itself: the square of what it moves `scattered` by …
@@ -141,6 +143,7 @@ impl<S: Simd> Climb<S> {
             a: Complexes { re: a_re, im: on.mul(half_a.cross, inverse_a) },
             b: Complexes { re: b_re, im: on.mul(half_b.cross, inverse_b) },
             scattered: on.add(scattered_a, scattered_b),
+            product: on.mul(scattered_a, scattered_b),
             kept: on.add(kept_a, kept_b),
             scattered_shift: weighed(scattered_a, scattered_b),
             kept_shift: weighed(kept_a, kept_b),

@@ -54,11 +54,16 @@ impl<S: Simd> Descent<S> {
             re: on.mul_sub(odd, self.z_inverse.re, inside.re),
             im: on.mul_sub(odd, self.z_inverse.im, inside.im),
         };
-        // One division for both reciprocals.
         let square = z.norm_sqr(on);
-        let inverse = on.div(on.all(1.0), on.mul(t, square));
-        let below = on.mul(square, inverse);
-        let next = z.conj(on).scaled(on, t).scaled(on, inverse);
+        let one = on.all(1.0);
+        let (below, next) = if NEAR {
+            // The difference gathers the roundings of every step: as few as possible.
+            (on.div(one, t), z.conj(on).scaled(on, on.div(one, square)))
+        } else {
+            // One division for both reciprocals.
+            let inverse = on.div(one, on.mul(t, square));
+            (on.mul(square, inverse), z.conj(on).scaled(on, t).scaled(on, inverse))
+        };
         let mut ratios = Ratios { outside: below, inside: next };
         let mut difference = self.difference;
         if NEAR {

@@ -38,7 +38,7 @@ pub(super) struct Adding<S: Simd, const FUSED: bool, const WATCH: bool> {
     scattered_shift: S::f64s,
     kept_shift: S::f64s,
     forward_shift: S::f64s,
-    /// Σ of the absolute terms of `forward`.
+    /// Square of the largest term that may cancel in `forward`.
     forward_size: S::f64s,
     scattered_below: S::f64s,
 }
@@ -85,7 +85,7 @@ impl<S: Simd, const FUSED: bool, const WATCH: bool> Adding<S, FUSED, WATCH> {
                     of(shifts[0][i], scattered[i])
                         .max(of(shifts[1][i], absorbed[i]))
                         .max(of(shifts[2][i], forward[i]))
-                        .max(of(forward_size[i] * forward_size[i], forward[i]))
+                        .max(of(forward_size[i], forward[i]))
                 } else {
                     0.0
                 },
@@ -105,7 +105,12 @@ impl<S: Simd, const FUSED: bool, const WATCH: bool> Sink<S::f64s> for Adding<S, 
         if WATCH {
             let square = on.mul(odd, odd);
             let along = on.all(factor.along);
-            let forward_shift = on.mul(on.mul(order.shift, self.scattered_below), on.mul(along, along));
+            let across = on.all(factor.across);
+            let steps = on.mul(self.scattered_below, on.mul(along, along));
+            let forward_shift = on.mul(order.shift, steps);
+            let forward_size =
+                on.larger(on.mul(order.scattered, steps), on.mul(order.product, on.mul(across, across)));
+            self.forward_size = on.larger(self.forward_size, forward_size);
             self.scattered_shift = on.larger(self.scattered_shift, on.mul(order.scattered_shift, square));
             self.kept_shift = on.larger(self.kept_shift, on.mul(order.kept_shift, square));
             self.forward_shift = on.larger(self.forward_shift, forward_shift);
@@ -116,11 +121,6 @@ impl<S: Simd, const FUSED: bool, const WATCH: bool> Sink<S::f64s> for Adding<S, 
         let steps = on.mul_add(self.below.0.re, a.re, on.mul(self.below.0.im, a.im));
         let others = on.mul_add(self.below.1.re, b.re, on.mul(self.below.1.im, b.im));
         let steps = on.add(steps, others);
-        if WATCH {
-            let size = on.mul(on.abs(steps), on.all(factor.along));
-            let size = on.mul_add(on.abs(pair), on.all(factor.across), size);
-            self.forward_size = on.add(self.forward_size, size);
-        }
         self.forward = on.mul_add(pair, on.all(factor.across), self.forward);
         self.forward = on.mul_add(steps, on.all(factor.along), self.forward);
         let alternating = on.all(factor.alternating);

@@ -87,12 +87,6 @@ impl<S: Simd, const FUSED: bool> Vector<S, FUSED> {
         self.select(self.at_most(a, b), b, a)
     }
 
-    /// |a|.
-    #[inline(always)]
-    pub(super) fn abs(self, a: S::f64s) -> S::f64s {
-        self.0.abs_f64s(a)
-    }
-
     /// a ≤ b.
     #[inline(always)]
     pub(super) fn at_most(self, a: S::f64s, b: S::f64s) -> S::m64s {
