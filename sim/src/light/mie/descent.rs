@@ -11,6 +11,14 @@ pub(super) struct Ratios<T> {
     pub(super) inside: Complexes<T>,
 }
 
+impl<T: Copy> Ratios<T> {
+    /// From three numbers in their order.
+    #[inline(always)]
+    pub(super) fn of(row: &[T]) -> Self {
+        Self { outside: row[0], inside: Complexes { re: row[1], im: row[2] } }
+    }
+}
+
 /// The way down: ratios and their difference at one order.
 #[derive(Clone, Copy)]
 pub(super) struct Descent<S: Simd> {
@@ -19,8 +27,8 @@ pub(super) struct Descent<S: Simd> {
     /// (1 − m)/(m x).
     contrast: Complexes<S::f64s>,
     start: S::f64s,
-    pub(super) ratios: Ratios<S::f64s>,
-    pub(super) difference: Complexes<S::f64s>,
+    ratios: Ratios<S::f64s>,
+    difference: Complexes<S::f64s>,
 }
 
 impl<S: Simd> Descent<S> {
@@ -37,6 +45,25 @@ impl<S: Simd> Descent<S> {
             start: spheres.start,
             ratios: Ratios { outside: first, inside: spheres.m.scaled(on, first) },
             difference: one_less_m.scaled(on, first),
+        }
+    }
+
+    /// Writes what stands here to a place of the workspace.
+    #[inline(always)]
+    pub(super) fn keep<const NEAR: bool>(
+        &self,
+        at: usize,
+        ratios: &mut [S::f64s],
+        differences: &mut [S::f64s],
+    ) {
+        let row = &mut ratios[3 * at..][..3];
+        row[0] = self.ratios.outside;
+        row[1] = self.ratios.inside.re;
+        row[2] = self.ratios.inside.im;
+        if NEAR {
+            let row = &mut differences[2 * at..][..2];
+            row[0] = self.difference.re;
+            row[1] = self.difference.im;
         }
     }
 

@@ -3,10 +3,14 @@
 use std::borrow::Cow;
 use std::sync::LazyLock;
 
-/// Orders whose factors are always at hand.
-pub(super) const TABLE: usize = 2048;
+/// Orders whose factors are made at the first use …
+const TABLE: usize = 2048;
 
-pub(super) static FACTORS: LazyLock<Factors> = LazyLock::new(|| Factors::up_to(TABLE));
+/// … and those that are made when a series is longer than that.
+const LARGE: usize = 65_536;
+
+static FACTORS: LazyLock<Factors> = LazyLock::new(|| Factors::up_to(TABLE));
+static MANY_FACTORS: LazyLock<Factors> = LazyLock::new(|| Factors::up_to(LARGE));
 
 /// Numbers that belong to an order n, from n = 0. Columns of their own: read from memory into all lanes at once they
 /// cost nothing beside the arithmetic.
@@ -37,10 +41,16 @@ impl Factors {
 
     /// The factors of at least `count` orders.
     pub(super) fn reaching(count: usize) -> Cow<'static, Self> {
-        if count <= TABLE { Cow::Borrowed(&FACTORS) } else { Cow::Owned(Self::up_to(count)) }
+        if count <= TABLE {
+            Cow::Borrowed(&FACTORS)
+        } else if count <= LARGE {
+            Cow::Borrowed(&MANY_FACTORS)
+        } else {
+            Cow::Owned(Self::up_to(count))
+        }
     }
 
-    pub(super) fn reach(&mut self, count: usize) {
+    fn reach(&mut self, count: usize) {
         for n in self.odd.len()..count {
             let order = n as f64;
             let odd = 2.0 * order + 1.0;

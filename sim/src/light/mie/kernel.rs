@@ -19,30 +19,29 @@
 
 use super::climb::Climb;
 use super::descent::{Descent, Ratios};
-use super::factors::{FACTORS, Factors, TABLE};
+use super::factors::Factors;
 use super::lengths::{Lane, integer};
 use super::spheres::Spheres;
 use super::sums::{Adding, Sink, Sums};
-use super::vector::{Complexes, Vector};
+use super::vector::{Complexes, Lines, Vector};
 use pulp::Simd;
+use std::borrow::Cow;
 
 /// Workspace that is used again for every batch.
-pub(super) struct Workspace<S: Simd, const V: usize> {
-    ratios: Vec<[Ratios<S::f64s>; V]>,
-    /// D_n.
-    differences: Vec<[Complexes<S::f64s>; V]>,
-    /// For series that are longer than [`TABLE`].
-    factors: Factors,
+pub(super) struct Workspace {
+    /// r_n(x), Re r_n(z), Im r_n(z) of each order, [`ROW`] vectors for each of the `V`.
+    ratios: Lines,
+    /// Re D_n, Im D_n of each order.
+    differences: Lines,
+    factors: Cow<'static, Factors>,
 }
 
-impl<S: Simd, const V: usize> Workspace<S, V> {
-    pub(super) fn new() -> Self {
-        Self { ratios: Vec::new(), differences: Vec::new(), factors: Factors::default() }
-    }
+/// Vectors of one order of ratios, and of differences.
+const ROW: [usize; 2] = [3, 2];
 
-    #[inline(always)]
-    fn factors(&self) -> &Factors {
-        if self.ratios.len() <= TABLE { &FACTORS } else { &self.factors }
+impl Workspace {
+    pub(super) fn new() -> Self {
+        Self { ratios: Lines::default(), differences: Lines::default(), factors: Factors::reaching(0) }
     }
 }
 
@@ -88,20 +87,16 @@ impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
         clippy::needless_range_loop,
         reason = "counted loops over V unroll, so that the vectors stay in registers"
     )]
-    pub(super) fn descend<const NEAR: bool>(&self, workspace: &mut Workspace<S, V>) {
+    pub(super) fn descend<const NEAR: bool>(&self, workspace: &mut Workspace) {
         let on = self.on;
         let orders = self.orders();
-        let nothing = on.all(0.0);
-        if workspace.ratios.len() <= orders {
-            let none = Ratios { outside: nothing, inside: Complexes { re: nothing, im: nothing } };
-            workspace.ratios.resize(orders + 1, [none; V]);
-            if orders + 1 > TABLE {
-                workspace.factors.reach(orders + 1);
-            }
+        if workspace.ratios.reach(ROW[0] * V * S::F64_LANES * (orders + 1)) {
+            workspace.factors = Factors::reaching(orders + 1);
         }
-        if NEAR && workspace.differences.len() <= orders {
-            workspace.differences.resize(orders + 1, [Complexes { re: nothing, im: nothing }; V]);
+        if NEAR {
+            workspace.differences.reach(ROW[1] * V * S::F64_LANES * (orders + 1));
         }
+        let (ratios, differences) = (workspace.ratios.vectors::<S>(), workspace.differences.vectors::<S>());
         let mut descents = [Descent::<S>::new(on, &self.spheres[0]); V];
         for v in 1..V {
             descents[v] = Descent::new(on, &self.spheres[v]);
@@ -111,10 +106,7 @@ impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
             for v in 0..V {
                 descents[v] = descents[v].step::<FUSED, NEAR, true>(on, n);
                 if n <= orders + 1 {
-                    workspace.ratios[n - 1][v] = descents[v].ratios;
-                    if NEAR {
-                        workspace.differences[n - 1][v] = descents[v].difference;
-                    }
+                    descents[v].keep::<NEAR>((n - 1) * V + v, ratios, differences);
                 }
             }
         }
@@ -127,10 +119,7 @@ impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
         for n in (1..=beyond).rev() {
             for v in 0..V {
                 descents[v] = descents[v].step::<FUSED, NEAR, false>(on, n);
-                workspace.ratios[n - 1][v] = descents[v].ratios;
-                if NEAR {
-                    workspace.differences[n - 1][v] = descents[v].difference;
-                }
+                descents[v].keep::<NEAR>((n - 1) * V + v, ratios, differences);
             }
         }
     }
@@ -139,25 +128,30 @@ impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
     #[inline(always)]
     pub(super) fn climb<const NEAR: bool>(
         &self,
-        workspace: &Workspace<S, V>,
+        workspace: &Workspace,
         v: usize,
         sink: &mut impl Sink<S::f64s>,
     ) {
         let on = self.on;
         let spheres = &self.spheres[v];
-        let mut climb = Climb::new(on, spheres, workspace.ratios[0][v].outside);
-        let table = workspace.factors();
+        let (ratios, differences) = (workspace.ratios.read::<S>(), workspace.differences.read::<S>());
+        let at = |n: usize| Ratios::of(&ratios[ROW[0] * (n * V + v)..][..ROW[0]]);
+        let mut climb = Climb::new(on, spheres, at(0).outside);
+        let difference = |n: usize| {
+            let row = &differences[ROW[1] * (n * V + v)..][..ROW[1]];
+            Complexes { re: row[0], im: row[1] }
+        };
+        let table: &Factors = &workspace.factors;
+        let nothing = Complexes { re: on.all(0.0), im: on.all(0.0) };
         for n in 1..=spheres.ends.0 {
             let factor = table.at(n);
-            let difference = if NEAR { workspace.differences[n][v] } else { climb.step };
-            let ratios = workspace.ratios[n][v];
-            sink.take(factor, climb.step::<FUSED, NEAR, false>(on, factor, ratios, difference));
+            let difference = if NEAR { difference(n) } else { nothing };
+            sink.take(factor, climb.step::<FUSED, NEAR, false>(on, factor, at(n), difference));
         }
         for n in spheres.ends.0 + 1..=spheres.ends.1 {
             let factor = table.at(n);
-            let difference = if NEAR { workspace.differences[n][v] } else { climb.step };
-            let ratios = workspace.ratios[n][v];
-            sink.take(factor, climb.step::<FUSED, NEAR, true>(on, factor, ratios, difference));
+            let difference = if NEAR { difference(n) } else { nothing };
+            sink.take(factor, climb.step::<FUSED, NEAR, true>(on, factor, at(n), difference));
         }
     }
 
@@ -171,7 +165,7 @@ impl<S: Simd, const FUSED: bool, const V: usize> Batch<S, FUSED, V> {
     #[inline(always)]
     pub(super) fn sums<const NEAR: bool, const WATCH: bool>(
         &self,
-        workspace: &mut Workspace<S, V>,
+        workspace: &mut Workspace,
         sums: &mut [Sums],
     ) {
         self.descend::<NEAR>(workspace);

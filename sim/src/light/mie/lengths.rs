@@ -26,14 +26,14 @@ impl Lane {
         let z = x * square.sqrt().max(1.0);
         // Past |z| until the start is forgotten, and a little past the last order: for small spheres the recurrence
         // forgets three digits a step there, and the last terms need few.
-        let start = (z + 8.0 * cube_root(z) + 8.0).max(last + 4.0).floor();
+        let start = (z + 7.3 * cube_root(z) + 6.0).max(last + 4.0).floor();
         Self { sphere, last: if sphere.size_parameter > 0.0 { last } else { 0.0 }, start }
     }
 }
 
 /// Length of the series: terms beyond it are below the rounding of the sum.
 pub(super) fn series_length(size_parameter: f64) -> f64 {
-    (size_parameter + 7.4 * cube_root(size_parameter) + 4.0).floor()
+    (size_parameter + 6.9 * cube_root(size_parameter) + 3.0).floor()
 }
 
 /// The cube root to 0.2 %, never less than 0.999 of it: an exponent divided by three and one step of Newton's. Lengths of

@@ -124,11 +124,12 @@ impl Sphere {
         if !(size_parameter >= 0.0 && size_parameter.is_finite()) {
             return Err(MieError::Size(size_parameter));
         }
-        let modulus = n.hypot(k);
-        if !(n > 0.0 && k >= 0.0 && (INDEX_MIN..=INDEX_MAX).contains(&modulus)) {
+        let square = n * n + k * k;
+        let within = (INDEX_MIN * INDEX_MIN..=INDEX_MAX * INDEX_MAX).contains(&square);
+        if !(n > 0.0 && k >= 0.0 && within) {
             return Err(MieError::Index { n, k });
         }
-        let inside = size_parameter * modulus;
+        let inside = size_parameter * square.sqrt();
         if size_parameter.max(inside) > SIZE_MAX {
             return Err(MieError::TooLarge { size_parameter, inside, limit: SIZE_MAX });
         }

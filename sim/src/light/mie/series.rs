@@ -155,7 +155,7 @@ fn batches<S: Simd, const FUSED: bool, const V: usize, const WATCH: bool>(
     take: &mut dyn FnMut(usize, Sphere, Sums),
 ) {
     let width = V * S::F64_LANES;
-    let mut workspace = Workspace::<S, V>::new();
+    let mut workspace = Workspace::new();
     let mut lanes = [Lane::new(Sphere { size_parameter: 0.0, n: 1.5, k: 0.0 }); BATCH];
     let mut sums = [Sums::default(); BATCH];
     let order = by_size(spheres);

@@ -224,7 +224,7 @@ impl Task<'_> {
     fn run<S: Simd, const FUSED: bool, const V: usize>(&self, simd: S) -> Halves {
         let on = Vector::<S, FUSED>(simd);
         let width = S::F64_LANES;
-        let mut workspace = Workspace::<S, V>::new();
+        let mut workspace = Workspace::new();
         let mut lists: Vec<List<S>> = Vec::new();
         for near_one in [true, false] {
             let members: Vec<u32> = self
@@ -268,7 +268,7 @@ impl Task<'_> {
         simd: S,
         chunk: &[u32],
         near_one: bool,
-        workspace: &mut Workspace<S, V>,
+        workspace: &mut Workspace,
         lists: &mut Vec<List<S>>,
     ) {
         let width = S::F64_LANES;

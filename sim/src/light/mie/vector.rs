@@ -8,6 +8,40 @@ use pulp::Simd;
 /// Most spheres, or angles, of one batch: all lanes of all its vectors.
 pub(super) const BATCH: usize = 16;
 
+/// Vectors in memory, each from the start of a cache line.
+#[derive(Debug, Default)]
+pub(super) struct Lines {
+    numbers: Vec<f64>,
+    /// Numbers before the first line.
+    before: usize,
+}
+
+impl Lines {
+    /// Makes room for so many numbers, all 0; false where there was room enough.
+    pub(super) fn reach(&mut self, count: usize) -> bool {
+        /// Numbers of a cache line.
+        const LINE: usize = 8;
+        if self.numbers.len() >= count + LINE {
+            return false;
+        }
+        self.numbers = vec![0.0; count + LINE];
+        // An address that cannot be aligned (nothing says that it always can) starts where it is.
+        self.before =
+            Some(self.numbers.as_ptr().align_offset(64)).filter(|before| *before < LINE).unwrap_or(0);
+        true
+    }
+
+    #[inline(always)]
+    pub(super) fn vectors<S: Simd>(&mut self) -> &mut [S::f64s] {
+        S::as_mut_simd_f64s(self.numbers.get_mut(self.before..).unwrap_or_default()).0
+    }
+
+    #[inline(always)]
+    pub(super) fn read<S: Simd>(&self) -> &[S::f64s] {
+        S::as_simd_f64s(self.numbers.get(self.before..).unwrap_or_default()).0
+    }
+}
+
 /// Operations on `S::f64s`; `FUSED` says that the machine multiplies and adds in one operation.
 #[derive(Clone, Copy)]
 pub(super) struct Vector<S: Simd, const FUSED: bool>(pub(super) S);
