@@ -114,7 +114,7 @@ impl Effort {
 }
 
 /// Spheres per parallel task.
-const TASK: usize = 512;
+const TASK: usize = 2048;
 
 /// Means of efficiencies over `sizes` at one wavelength and index, to a relative error of `target`.
 ///

@@ -22,11 +22,11 @@ use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// Spheres of one class that are summed in one task: fixes the order of additions for any number of threads.
-const TASK: usize = 64;
+const TASK: usize = 256;
 /// Vectors of angles that are summed side by side.
 const SIDE: usize = 2;
-/// Values of π_n and τ_n that are kept at a time: half of a second-level cache.
-const TABLE: usize = 64 * 1024;
+/// Values of π_n and τ_n that are kept at a time: a quarter of a second-level cache.
+const TABLE: usize = 16 * 1024;
 /// Largest size parameter: memory and work grow with its square.
 const SIZE_PATTERN: f64 = 1e5;
 
