@@ -39,8 +39,8 @@ pub(super) struct Workspace {
 /// Vectors of one order of ratios, and of differences.
 const ROW: [usize; 2] = [3, 2];
 
-impl Workspace {
-    pub(super) fn new() -> Self {
+impl Default for Workspace {
+    fn default() -> Self {
         Self { ratios: Lines::default(), differences: Lines::default(), factors: Factors::reaching(0) }
     }
 }

@@ -120,7 +120,7 @@ impl pulp::WithSimd for One {
 #[inline(always)]
 fn alone<const FUSED: bool, const WATCH: bool>(sphere: Sphere) -> Sums {
     let batch = Batch::<Scalar, FUSED, 1>::new(Scalar, &[Lane::new(sphere)]);
-    let mut workspace = Workspace::new();
+    let mut workspace = Workspace::default();
     let mut sums = [Sums::default()];
     if near(&sphere) {
         batch.sums::<true, WATCH>(&mut workspace, &mut sums);
@@ -155,7 +155,7 @@ fn batches<S: Simd, const FUSED: bool, const V: usize, const WATCH: bool>(
     take: &mut dyn FnMut(usize, Sphere, Sums),
 ) {
     let width = V * S::F64_LANES;
-    let mut workspace = Workspace::new();
+    let mut workspace = Workspace::default();
     let mut lanes = [Lane::new(Sphere { size_parameter: 0.0, n: 1.5, k: 0.0 }); BATCH];
     let mut sums = [Sums::default(); BATCH];
     let order = by_size(spheres);
@@ -261,7 +261,7 @@ impl pulp::WithSimd for Terms {
 #[inline(always)]
 fn listed<const FUSED: bool>(sphere: Sphere) -> List {
     let batch = Batch::<Scalar, FUSED, 1>::new(Scalar, &[Lane::new(sphere)]);
-    let mut workspace = Workspace::new();
+    let mut workspace = Workspace::default();
     let mut list = List { terms: Vec::with_capacity(batch.orders()), forward: 0.0, shift: 0.0 };
     if near(&sphere) {
         batch.descend::<true>(&mut workspace);

@@ -11,14 +11,15 @@ use super::angular::{Amplitudes, Angles, Coefficients};
 use super::climb::Order;
 use super::factors::{Factor, Factors};
 use super::kernel::{Batch, Workspace};
-use super::lengths::Lane;
+use super::lengths::{Lane, integer};
 use super::pattern::Pattern;
 use super::series::{by_size, fused, near};
 use super::sums::Sink;
-use super::vector::{BATCH, Vector};
+use super::vector::{BATCH, Lines, Vector};
 use super::{MieError, Sphere};
 use pulp::Simd;
 use rayon::prelude::*;
+use std::cell::RefCell;
 use std::f64::consts::PI;
 
 /// Spheres of one class that are summed in one task: fixes the order of additions for any number of threads.
@@ -197,6 +198,23 @@ impl Transform<'_> {
     }
 }
 
+/// Memory of a task, kept by its thread for the next one: clearing fresh pages costs as much as a tenth of the sums.
+#[derive(Default)]
+struct Scratch {
+    workspace: Workspace,
+    /// Coefficients, list after list.
+    coefficients: Lines,
+    /// w π_n and w τ_n.
+    angular: Lines,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+/// Numbers that a thread keeps at most: 8 MiB.
+const KEPT: usize = 1 << 20;
+
 /// The sum over a few spheres of one class.
 struct Task<'a> {
     pairs: usize,
@@ -224,8 +242,17 @@ impl Task<'_> {
     fn run<S: Simd, const FUSED: bool, const V: usize>(&self, simd: S) -> Halves {
         let on = Vector::<S, FUSED>(simd);
         let width = S::F64_LANES;
-        let mut workspace = Workspace::new();
-        let mut lists: Vec<List<S>> = Vec::new();
+        let mut scratch = SCRATCH.take();
+        let longest = self
+            .members
+            .iter()
+            .fold(0.0f64, |longest, &at| longest.max(orders(self.spheres[at as usize].size_parameter)));
+        let longest = integer(longest);
+        // Both kinds of indices may leave a batch that is not full.
+        let most = (self.members.len() / (V * width) + 2) * V;
+        scratch.coefficients.reach(4 * width * longest * most);
+        let coefficients = scratch.coefficients.vectors::<S>();
+        let mut lists: Vec<List> = Vec::new();
         for near_one in [true, false] {
             let members: Vec<u32> = self
                 .members
@@ -234,22 +261,36 @@ impl Task<'_> {
                 .filter(|&at| near(&self.spheres[at as usize]) == near_one)
                 .collect();
             for chunk in members.chunks(V * width) {
-                self.coefficients::<S, FUSED, V>(simd, chunk, near_one, &mut workspace, &mut lists);
+                self.coefficients::<S, FUSED, V>(
+                    simd,
+                    chunk,
+                    near_one,
+                    &mut scratch.workspace,
+                    (coefficients, 4 * longest),
+                    &mut lists,
+                );
             }
         }
         let block = SIDE * width;
-        let longest = lists.iter().map(List::len).max().unwrap_or(0);
         let mut sums = vec![[on.all(0.0); 2]; self.pairs / width];
         let blocks_at_once = (TABLE / (2 * block * longest.max(1))).max(1);
-        let mut angular = Angular::new();
         let table = Factors::reaching(longest + 1);
         let vectors = self.pairs / width;
         let mut first = 0;
         while first < vectors {
             let count = (blocks_at_once * SIDE).min(vectors - first);
-            angular.fill(on, self.pairs, first, count, &table, longest);
-            for list in &lists {
-                list.add::<FUSED>(on, &angular, &mut sums[first..first + count]);
+            scratch.angular.reach(2 * width * longest * count);
+            let angular = Angular::filled(
+                on,
+                scratch.angular.vectors::<S>(),
+                self.pairs,
+                first,
+                count,
+                &table,
+                longest,
+            );
+            for (list, coefficients) in lists.iter().zip(coefficients.chunks(4 * longest)) {
+                list.add::<S, FUSED>(on, coefficients, &angular, &mut sums[first..first + count]);
             }
             first += count;
         }
@@ -257,6 +298,9 @@ impl Task<'_> {
         for (v, [even, odd]) in sums.iter().enumerate() {
             halves.even[v * width..(v + 1) * width].copy_from_slice(&on.store(*even)[..width]);
             halves.odd[v * width..(v + 1) * width].copy_from_slice(&on.store(*odd)[..width]);
+        }
+        if scratch.coefficients.len().max(scratch.angular.len()) <= KEPT {
+            SCRATCH.set(scratch);
         }
         halves
     }
@@ -269,7 +313,8 @@ impl Task<'_> {
         chunk: &[u32],
         near_one: bool,
         workspace: &mut Workspace,
-        lists: &mut Vec<List<S>>,
+        (coefficients, stride): (&mut [S::f64s], usize),
+        lists: &mut Vec<List>,
     ) {
         let width = S::F64_LANES;
         let mut lanes = [Lane::new(Sphere { size_parameter: 0.0, n: 1.5, k: 0.0 }); BATCH];
@@ -289,40 +334,56 @@ impl Task<'_> {
             batch.descend::<false>(workspace);
         }
         for v in 0..V {
-            let mut list = List { coefficients: Vec::with_capacity(batch.orders()), numbers: [0.0; BATCH] };
+            let mut list = List { orders: 0, numbers: [0.0; BATCH] };
             list.numbers[..width].copy_from_slice(&numbers[v * width..(v + 1) * width]);
+            let place = &mut coefficients[lists.len() * stride..][..stride];
+            let mut writing = Writing::<S> { place, orders: 0 };
             if near_one {
-                batch.climb::<true>(workspace, v, &mut list);
+                batch.climb::<true>(workspace, v, &mut writing);
             } else {
-                batch.climb::<false>(workspace, v, &mut list);
+                batch.climb::<false>(workspace, v, &mut writing);
             }
+            list.orders = writing.orders;
             lists.push(list);
         }
     }
 }
 
-/// Coefficients of one vector of spheres: Re a, Im a, Re b, Im b of n = 1, 2 …
-struct List<S: Simd> {
-    coefficients: Vec<[S::f64s; 4]>,
+/// One vector of spheres, whose coefficients Re a, Im a, Re b, Im b of n = 1, 2 … stand elsewhere.
+struct List {
+    orders: usize,
     numbers: [f64; BATCH],
 }
 
-impl<S: Simd> Sink<S::f64s> for List<S> {
+/// Writes coefficients one after the other.
+struct Writing<'a, S: Simd> {
+    place: &'a mut [S::f64s],
+    orders: usize,
+}
+
+impl<S: Simd> Sink<S::f64s> for Writing<'_, S> {
     #[inline(always)]
     fn take(&mut self, _: Factor, order: Order<S::f64s>) {
-        self.coefficients.push([order.a.re, order.a.im, order.b.re, order.b.im]);
+        let row = &mut self.place[4 * self.orders..][..4];
+        row[0] = order.a.re;
+        row[1] = order.a.im;
+        row[2] = order.b.re;
+        row[3] = order.b.im;
+        self.orders += 1;
     }
 }
 
-impl<S: Simd> List<S> {
-    fn len(&self) -> usize {
-        self.coefficients.len()
-    }
-
+impl List {
     /// Adds what its spheres scatter at the angles of `angular`.
     #[inline(always)]
-    fn add<const FUSED: bool>(&self, on: Vector<S, FUSED>, angular: &Angular<S>, sums: &mut [[S::f64s; 2]]) {
-        let numbers: &[f64] = pulp::bytemuck::cast_slice(&self.coefficients);
+    fn add<S: Simd, const FUSED: bool>(
+        &self,
+        on: Vector<S, FUSED>,
+        coefficients: &[S::f64s],
+        angular: &Angular<'_, S>,
+        sums: &mut [[S::f64s; 2]],
+    ) {
+        let numbers: &[f64] = pulp::bytemuck::cast_slice(coefficients);
         for lane in 0..S::F64_LANES {
             let number = self.numbers[lane];
             if number <= 0.0 {
@@ -331,7 +392,7 @@ impl<S: Simd> List<S> {
             let weight = on.all(number);
             let mut v = 0;
             while v + SIDE <= sums.len() {
-                let found = square::<FUSED, SIDE, S>(on, &numbers[lane..], angular, v, self.len());
+                let found = square::<FUSED, SIDE, S>(on, &numbers[lane..], angular, v, self.orders);
                 for (sum, found) in sums[v..v + SIDE].iter_mut().zip(found) {
                     sum[0] = on.mul_add(found[0], weight, sum[0]);
                     sum[1] = on.mul_add(found[1], weight, sum[1]);
@@ -339,7 +400,7 @@ impl<S: Simd> List<S> {
                 v += SIDE;
             }
             while v < sums.len() {
-                let [found] = square::<FUSED, 1, S>(on, &numbers[lane..], angular, v, self.len());
+                let [found] = square::<FUSED, 1, S>(on, &numbers[lane..], angular, v, self.orders);
                 sums[v][0] = on.mul_add(found[0], weight, sums[v][0]);
                 sums[v][1] = on.mul_add(found[1], weight, sums[v][1]);
                 v += 1;
@@ -349,44 +410,39 @@ impl<S: Simd> List<S> {
 }
 
 /// w π_n and w τ_n, w = (2n+1)/(n(n+1)), at some vectors of angles: `[vector][order − 1]`.
-struct Angular<S: Simd> {
+struct Angular<'a, S: Simd> {
     orders: usize,
-    values: Vec<[S::f64s; 2]>,
+    values: &'a [S::f64s],
 }
 
-impl<S: Simd> Angular<S> {
-    fn new() -> Self {
-        Self { orders: 0, values: Vec::new() }
-    }
-
+impl<'a, S: Simd> Angular<'a, S> {
     #[inline(always)]
-    fn fill<const FUSED: bool>(
-        &mut self,
+    fn filled<const FUSED: bool>(
         on: Vector<S, FUSED>,
+        values: &'a mut [S::f64s],
         pairs: usize,
         first: usize,
         count: usize,
         table: &Factors,
         orders: usize,
-    ) {
-        self.orders = orders;
-        self.values.clear();
-        self.values.reserve(count * orders);
+    ) -> Self {
         let width = S::F64_LANES;
-        for vector in first..first + count {
+        for (vector, rows) in (first..first + count).zip(values.chunks_mut(2 * orders)) {
             let mut versines = [0.0; BATCH];
             for (lane, versine) in versines.iter_mut().enumerate().take(width) {
                 let sine = (PI * ((vector * width + lane) as f64 + 0.5) / (4 * pairs) as f64).sin();
                 *versine = 2.0 * sine * sine;
             }
             let mut angles = Angles::new(on, on.load(&versines));
-            for n in 1..=orders {
+            for (n, row) in (1..).zip(rows.chunks_mut(2)) {
                 let factor = table.at(n);
                 let (pi, tau) = angles.step(on, factor);
                 let weight = on.all(factor.across);
-                self.values.push([on.mul(pi, weight), on.mul(tau, weight)]);
+                row[0] = on.mul(pi, weight);
+                row[1] = on.mul(tau, weight);
             }
         }
+        Self { orders, values }
     }
 }
 
@@ -400,7 +456,7 @@ impl<S: Simd> Angular<S> {
 fn square<const FUSED: bool, const SIDE: usize, S: Simd>(
     on: Vector<S, FUSED>,
     numbers: &[f64],
-    angular: &Angular<S>,
+    angular: &Angular<'_, S>,
     first: usize,
     orders: usize,
 ) -> [[S::f64s; 2]; SIDE] {
@@ -412,7 +468,8 @@ fn square<const FUSED: bool, const SIDE: usize, S: Simd>(
         let row = &numbers[4 * width * n..4 * width * n + 3 * width + 1];
         let factors = Coefficients::of(on, [row[0], row[width], row[2 * width], row[3 * width]]);
         for s in 0..SIDE {
-            let [pi, tau] = angular.values[(first + s) * angular.orders + n];
+            let row = &angular.values[2 * ((first + s) * angular.orders + n)..][..2];
+            let (pi, tau) = (row[0], row[1]);
             sums[s] = sums[s].with_odd(on, &factors, pi, tau);
         }
         n += 1;
@@ -422,7 +479,8 @@ fn square<const FUSED: bool, const SIDE: usize, S: Simd>(
         let row = &numbers[4 * width * n..4 * width * n + 3 * width + 1];
         let factors = Coefficients::of(on, [row[0], row[width], row[2 * width], row[3 * width]]);
         for s in 0..SIDE {
-            let [pi, tau] = angular.values[(first + s) * angular.orders + n];
+            let row = &angular.values[2 * ((first + s) * angular.orders + n)..][..2];
+            let (pi, tau) = (row[0], row[1]);
             sums[s] = sums[s].with_even(on, &factors, pi, tau);
         }
         n += 1;

@@ -31,6 +31,11 @@ impl Lines {
         true
     }
 
+    /// Numbers there is room for.
+    pub(super) fn len(&self) -> usize {
+        self.numbers.len()
+    }
+
     #[inline(always)]
     pub(super) fn vectors<S: Simd>(&mut self) -> &mut [S::f64s] {
         S::as_mut_simd_f64s(self.numbers.get_mut(self.before..).unwrap_or_default()).0
