@@ -179,8 +179,8 @@ fn batches<S: Simd, const FUSED: bool, const V: usize, const WATCH: bool>(
     }
 }
 
-/// Places of the spheres, those with an index near 1 first, then by size to within an eighth of an octave's part
-/// that does not matter: a counting sort.
+/// Places of the spheres, those with an index near 1 first, then by size in sixteen classes to an octave: a counting
+/// sort.
 pub(super) fn by_size(spheres: &[Sphere]) -> Vec<u32> {
     /// Classes of size: 16 to an octave, from 2⁻⁶⁴ to 2³².
     const CLASSES: usize = 96 * 16;
