@@ -126,6 +126,24 @@ impl Sights {
         }
     }
 
+    /// Where a point appears, in rows and columns as in [`Sights::ray`]; none for points that are not clearly in front
+    /// of a pinhole.
+    #[inline]
+    pub fn project(&self, point: Vector) -> Option<(f64, f64)> {
+        let from = sub(point, self.position);
+        let depth = super::vector::dot(from, self.forward);
+        let across = |axis: Vector| super::vector::dot(from, axis) / super::vector::dot(axis, axis);
+        let (x, y) = (across(self.right), across(self.upward));
+        let (x, y) = if self.parallel {
+            (x, y)
+        } else if depth > 1e-9 * super::vector::dot(from, from).sqrt() {
+            (x / depth, y / depth)
+        } else {
+            return None;
+        };
+        Some((0.5 * (1.0 - y) * self.rows, 0.5 * (1.0 + x) * self.columns))
+    }
+
     /// Unit direction in which the camera looks at a point, and the distance to it along the sight.
     #[inline]
     pub fn towards(&self, point: Vector) -> (Vector, f64) {

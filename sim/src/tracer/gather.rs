@@ -1,141 +1,254 @@
-//! Along the sights of a camera: exact emission and transmission per cell, plus the cached in-scattered light.
+//! Along the sights of a camera: exact emission and transmission per cell, plus the reconstructed in-scattered light.
 
-#![expect(clippy::needless_range_loop, reason = "loops over lanes step through several arrays at once")]
-
-use super::lanes::{Lane, exp_minus};
-use super::packed::Packed;
+use super::bricks::{Brick, EDGE, Segment};
+use super::cache::Leaves;
+use super::fine::{CELLS, Fine};
 use super::plate::Plate;
-use super::reconstruct::Scattered;
+use super::reconstruct::{ROWS, Scattered};
+use super::spectrum::{Spectrum, narrow};
 use super::vector::Vector;
 
-/// What one sight collects, groups in lanes.
-pub(super) struct Sight<const N: usize> {
-    /// Share of the plate, in-scattering included.
-    pub(super) plate: [Lane; N],
-    /// Emission with in-scattering, per channel.
-    pub(super) emission: Vec<[Lane; N]>,
-    /// Emission along the straight sight, per channel.
-    pub(super) direct: Vec<[Lane; N]>,
-    /// Noise of plate and channel 0: Σ weight · noise of the cache.
-    pub(super) noise: [[Lane; N]; 2],
-    /// Error of the reconstruction of plate and channel 0: Σ weight · bias of the cache.
-    pub(super) bias: [[Lane; N]; 2],
-    /// Sights added.
-    pub(super) count: usize,
+/// Nothing can be seen through less than this, the smallest normal number of f32 with a margin.
+const OPAQUE: f32 = 1e-30;
+
+/// What sights run through.
+pub(super) struct Field<'a, S> {
+    pub(super) fine: &'a Fine<S>,
+    pub(super) plate: Option<&'a Plate>,
+    pub(super) light: Option<Light<'a, S>>,
 }
 
-impl<const N: usize> Sight<N> {
+/// In-scattered light by leaves.
+pub(super) struct Light<'a, S> {
+    pub(super) scattered: &'a Scattered<S>,
+    /// Leaves and centres, in the order of the occupied bricks.
+    cuts: Vec<Brick>,
+}
+
+impl<'a, S> Light<'a, S> {
+    pub(super) fn new(scattered: &'a Scattered<S>, leaves: &Leaves) -> Self {
+        let cuts = leaves.occupied.iter().map(|&b| leaves.bricks.list[b]).collect();
+        Self { scattered, cuts }
+    }
+}
+
+/// What sights through one pixel collect, groups in lanes.
+pub(super) struct Sight<S> {
+    /// Share of the plate, in-scattering included.
+    pub(super) plate: S,
+    /// Emission with in-scattering, per channel.
+    pub(super) emission: Vec<S>,
+    /// Emission along the straight sight, per channel.
+    pub(super) direct: Vec<S>,
+    /// Noise of plate and channel 0: Σ weight · noise of the cache.
+    pub(super) noise: [S; ROWS],
+    /// Error of the reconstruction of plate and channel 0: Σ weight · bias of the cache.
+    pub(super) bias: [S; ROWS],
+    /// Whether any sight met a cell.
+    pub(super) met: bool,
+    /// Weight of the sights added.
+    pub(super) weight: f32,
+    /// Sights added, cells visited.
+    pub(super) sights: u64,
+    pub(super) cells: u64,
+}
+
+impl<S: Spectrum> Sight<S> {
     /// Nothing collected yet.
     pub(super) fn new(channels: usize) -> Self {
         Self {
-            plate: [Lane::ZERO; N],
-            emission: vec![[Lane::ZERO; N]; channels],
-            direct: vec![[Lane::ZERO; N]; channels],
-            noise: [[Lane::ZERO; N]; 2],
-            bias: [[Lane::ZERO; N]; 2],
-            count: 0,
+            plate: S::ZERO,
+            emission: vec![S::ZERO; channels],
+            direct: vec![S::ZERO; channels],
+            noise: [S::ZERO; ROWS],
+            bias: [S::ZERO; ROWS],
+            met: false,
+            weight: 0.0,
+            sights: 0,
+            cells: 0,
         }
     }
 
-    /// Back to nothing.
+    /// Back to nothing, the counts aside.
     pub(super) fn clear(&mut self) {
-        self.plate = [Lane::ZERO; N];
-        self.emission.iter_mut().chain(&mut self.direct).for_each(|row| *row = [Lane::ZERO; N]);
-        self.noise = [[Lane::ZERO; N]; 2];
-        self.bias = [[Lane::ZERO; N]; 2];
-        self.count = 0;
+        self.plate = S::ZERO;
+        self.emission.iter_mut().chain(&mut self.direct).for_each(|row| *row = S::ZERO);
+        self.noise = [S::ZERO; ROWS];
+        self.bias = [S::ZERO; ROWS];
+        self.met = false;
+        self.weight = 0.0;
     }
 
-    /// Adds the sight from `origin` along `direction`. `scattered` holds, per cell, albedo · J.
+    /// Adds the sight from `origin` along `direction` with a weight; its errors only where they are wanted.
     #[inline(always)]
-    pub(super) fn add(
+    pub(super) fn add<const ERRORS: bool>(
         &mut self,
-        medium: &Packed<N>,
-        scattered: Option<&Scattered<N>>,
-        plate: Option<&Plate>,
+        field: &Field<'_, S>,
         ray: (Vector, Vector),
+        share: f32,
     ) {
         let (origin, direction) = ray;
-        let hit = plate.and_then(|p| p.hit(origin, direction));
-        let mut through = [Lane::ONE; N];
-        medium.lattice.walk(origin, direction, hit.unwrap_or(f64::INFINITY), |ordinal, t0, t1| {
-            let o = ordinal as usize;
-            let length = super::packed::narrow(t1 - t0);
-            let mut weight = [Lane::ZERO; N];
-            let mut most = Lane::ZERO;
-            for n in 0..N {
-                let e = exp_minus(medium.k[o][n].map(|k| k * length));
-                weight[n] = through[n] * e.map(|e| 1.0 - e);
-                through[n] = through[n] * e;
-                most = most.zip(through[n], f32::max);
+        let fine = field.fine;
+        let hit = field.plate.and_then(|p| p.hit(origin, direction));
+        let mut through = S::splat(share);
+        let extra = fine.channels - 1;
+        let mut own = S::ZERO;
+        let mut run = Run::<S>::new();
+        let mut cells = 0;
+        let origin_units = fine.bricks.units(origin);
+        let size = fine.bricks.size;
+        let step = [direction[0] / size[0], direction[1] / size[1], direction[2] / size[2]];
+        let mut march = fine.bricks.march(origin, direction, hit.unwrap_or(f64::INFINITY));
+        while let Some(Segment { place, block, start, end }) = march.next() {
+            let [k, albedo] = fine.core[place];
+            if k.largest() <= 0.0 {
+                continue;
             }
-            let sources = &medium.source[o * medium.channels..(o + 1) * medium.channels];
-            for (row, source) in self.direct.iter_mut().zip(sources) {
-                for n in 0..N {
-                    row[n].add_product(weight[n], source[n]);
+            cells += 1;
+            let (passed, stopped) = k.split(narrow(end - start));
+            let weight = through.times(stopped);
+            through = through.times(passed);
+            let turned = weight.times(albedo);
+            own = own.plus(weight.minus(turned));
+            if extra > 0 {
+                let o = fine.slot[place] as usize;
+                for c in 0..extra {
+                    self.direct[1 + c] = self.direct[1 + c].plus_product(weight, fine.source[o * extra + c]);
                 }
             }
-            if let Some(scattered) = scattered {
-                let rows = &scattered.value[o * scattered.rows..(o + 1) * scattered.rows];
-                if scattered.slope.is_empty() {
-                    for n in 0..N {
-                        self.plate[n].add_product(weight[n], rows[0][n]);
-                    }
-                } else {
-                    let middle = super::vector::along(origin, 0.5 * (t0 + t1), direction);
-                    let [x, y, z] = medium.lattice.offset(middle);
-                    let slopes = &scattered.slope[3 * o * scattered.rows..3 * (o + 1) * scattered.rows];
-                    let (along_x, rest) = slopes.split_at(scattered.rows);
-                    let (along_y, along_z) = rest.split_at(scattered.rows);
-                    for (r, row) in rows.iter().enumerate() {
-                        let to = if r == 0 { &mut self.plate } else { &mut self.emission[r - 1] };
-                        for n in 0..N {
-                            let here = row[n]
-                                + along_x[r][n].map(|v| v * x)
-                                + along_y[r][n].map(|v| v * y)
-                                + along_z[r][n].map(|v| v * z);
-                            // A steep slope must not make light negative.
-                            to[n].add_product(weight[n], here.map(|v| v.max(0.0)));
-                        }
-                    }
+            if let Some(light) = &field.light {
+                let [x, y, z] = block;
+                let cut = light.cuts[place / CELLS];
+                let leaf = cut.place(x, y, z);
+                if leaf != run.leaf {
+                    self.lit::<ERRORS>(light, &run, origin_units, step);
+                    let edge = EDGE >> cut.log;
+                    // Inside the leaf, where the nearest brick is beyond doubt.
+                    run = Run { leaf, edge, at: 0.5 * (start + end), ..Run::new() };
+                    run.corner = [x & !(edge - 1), y & !(edge - 1), z & !(edge - 1)];
                 }
-                for n in 0..N {
-                    let share = weight[n] * medium.albedo[o][n];
-                    self.noise[0][n].add_product(share, scattered.noise[o][0][n]);
-                    self.noise[1][n].add_product(share, scattered.noise[o][1][n]);
-                    self.bias[0][n].add_product(share, scattered.bias[o][0][n]);
-                    self.bias[1][n].add_product(share, scattered.bias[o][1][n]);
-                }
+                run.weight = run.weight.plus(turned);
+                let middle = narrow(0.5 * (start + end) - run.at);
+                run.moment = run.moment.plus_scaled(turned, middle);
+                let length = narrow(end - start);
+                let square = middle.mul_add(middle, length * length * (1.0 / 12.0));
+                run.second = run.second.plus_scaled(turned, square);
             }
-            // Smallest normal number of f32: beyond it nothing can be seen.
-            most.0.iter().fold(0.0_f32, |a, &b| a.max(b)) > 1e-30
-        });
-        if hit.is_some() {
-            for n in 0..N {
-                self.plate[n] = self.plate[n] + through[n];
+            if through.largest() <= OPAQUE {
+                break;
             }
         }
-        self.count += 1;
+        if let Some(light) = &field.light {
+            self.lit::<ERRORS>(light, &run, origin_units, step);
+        }
+        self.direct[0] = self.direct[0].plus(own);
+        if hit.is_some() {
+            self.plate = self.plate.plus(through);
+        }
+        self.met |= cells > 0;
+        self.weight += share;
+        self.sights += 1;
+        self.cells += cells;
+    }
+
+    /// Adds what a run through one leaf scatters into the sight. In-scattered light is quadratic inside a leaf, so its
+    /// mean over the run follows from the run's moments. Of the channels from 1 on, emission holds only what is
+    /// scattered until the sights are complete.
+    #[inline(always)]
+    fn lit<const ERRORS: bool>(&mut self, light: &Light<'_, S>, run: &Run<S>, origin: Vector, step: Vector) {
+        if run.leaf == usize::MAX {
+            return;
+        }
+        let inside = &light.scattered.leaves[run.leaf];
+        // Offset of the run's first cell from the leaf's centre, in cells: coordinates in the brick are those in the grid
+        // but for multiples of its edge.
+        let mut offset = [0.0_f32; 3];
+        for a in 0..3 {
+            let units = run.at.mul_add(step[a], origin[a]);
+            let in_brick = units - count_up(run.corner[a]) - 0.5 * count_up(run.edge);
+            // The nearest of all places that differ by whole bricks.
+            let bricks = (in_brick * (1.0 / EDGE as f64)).round();
+            offset[a] = narrow(in_brick - bricks * EDGE as f64);
+        }
+        let (weight, moment) = (run.weight, run.moment);
+        let edge = narrow(count_up(run.edge));
+        let mut seen = [inside.share[0][0].times(weight), inside.share[1][0].times(weight)];
+        for a in 0..3 {
+            let (x, s) = (offset[a], narrow(step[a]));
+            // Σ weight · x and Σ weight · (x² − edge²/12) along the run, x moving from the first cell's offset.
+            let first = weight.scaled(x).plus_scaled(moment, s);
+            let second = weight
+                .scaled(x * x - edge * edge / 12.0)
+                .plus_scaled(moment, 2.0 * x * s)
+                .plus_scaled(run.second, s * s);
+            for row in 0..ROWS {
+                let share = &inside.share[row];
+                seen[row] = seen[row].plus_product(share[1 + a], first).plus_product(share[4 + a], second);
+            }
+        }
+        // Steep slopes must not make light negative.
+        seen = [seen[0].not_negative(), seen[1].not_negative()];
+        self.plate = self.plate.plus(seen[0]);
+        self.emission[0] = self.emission[0].plus(seen[1]);
+        let extra = self.emission.len() - 1;
+        for c in 0..extra {
+            let ratio = light.scattered.ratio[run.leaf * extra + c];
+            self.emission[1 + c] = self.emission[1 + c].plus_product(seen[1], ratio);
+        }
+        if ERRORS {
+            for row in 0..ROWS {
+                self.noise[row] = self.noise[row].plus_product(run.weight, inside.noise[row]);
+                self.bias[row] = self.bias[row].plus_product(run.weight, inside.bias[row]);
+            }
+        }
+    }
+
+    /// Rms over the groups of noise and of the reconstruction's error, of plate and channel 0: `[noise, bias][row]`.
+    pub(super) fn errors(&self, groups: usize) -> [[f32; ROWS]; 2] {
+        let scale = 1.0 / self.weight.max(f32::MIN_POSITIVE);
+        [self.noise, self.bias]
+            .map(|rows| rows.map(|row| (row.times(row).sum() / count(groups)).sqrt() * scale))
     }
 }
 
-impl<const N: usize> Sight<N> {
-    /// Rms noise over the groups, of plate and channel 0.
-    pub(super) fn noise_rms(&self, groups: usize) -> [f32; 2] {
-        self.rms(&self.noise, groups)
-    }
+/// Cells of a sight one after the other in the same leaf.
+struct Run<S> {
+    leaf: usize,
+    /// Cells along the leaf's edge, and its lower corner in the brick.
+    edge: usize,
+    corner: [usize; 3],
+    /// The middle of its first cell.
+    at: f64,
+    /// Weight of what is scattered into the sight, and the sum of weight · distance from there.
+    weight: S,
+    moment: S,
+    /// The sum of weight · the square of that distance.
+    second: S,
+}
 
-    /// Rms over the groups of noise and reconstruction together, of plate and channel 0.
-    pub(super) fn error_rms(&self, groups: usize) -> [f32; 2] {
-        let (noise, bias) = (self.rms(&self.noise, groups), self.rms(&self.bias, groups));
-        [noise[0].hypot(bias[0]), noise[1].hypot(bias[1])]
+impl<S: Spectrum> Run<S> {
+    #[inline(always)]
+    fn new() -> Self {
+        Self {
+            leaf: usize::MAX,
+            edge: 1,
+            corner: [0; 3],
+            at: 0.0,
+            weight: S::ZERO,
+            moment: S::ZERO,
+            second: S::ZERO,
+        }
     }
+}
 
-    fn rms(&self, rows: &[[Lane; N]; 2], groups: usize) -> [f32; 2] {
-        let scale = 1.0 / super::packed::narrow(self.count.max(1) as f64);
-        rows.map(|row| {
-            let square: f32 = row.iter().map(|lane| lane.map(|v| v * v).sum()).sum();
-            (square / super::packed::narrow(groups as f64)).sqrt() * scale
-        })
-    }
+#[expect(clippy::cast_precision_loss, reason = "counts are small")]
+#[inline(always)]
+fn count_up(n: usize) -> f64 {
+    n as f64
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts are small")]
+#[inline(always)]
+fn count(n: usize) -> f32 {
+    n as f32
 }

@@ -1,41 +1,70 @@
 //! Image mode: a gridded medium with many spectral groups seen by a camera, rendered once into an [`Operator`].
 //!
-//! The straight sight is exact; in-scattered light comes from the camera-directed cache, sampled until the noise of the
-//! coefficients is below the target. Walls are never estimated: they follow by closure. The same bits come out for
+//! The straight sight is exact; in-scattered light comes from the camera-directed cache, sampled until the errors of the
+//! coefficients are below the target. Walls are never estimated: they follow by closure. The same bits come out for
 //! any number of threads, since every random number is a function of (seed, batch, leaf, sample).
 
-use super::cache::{Cache, Leaves, PhaseLanes, World};
-use super::camera::{Camera, PixelFilter, Sights};
+use super::blocks::Blocks;
+use super::cache::{Cache, Leaves};
+use super::camera::{Camera, PixelFilter};
+use super::cuts::{Limits, cut};
 use super::error::TracerError;
-use super::gather::Sight;
-use super::lanes::Lane;
+use super::fine::{CELLS, Fine};
+use super::gather::{Field, Light, Sight};
 use super::medium::GridMedium;
 use super::operator::Operator;
-use super::packed::{Packed, narrow};
+use super::paths::World;
+use super::pixels::{Frame, sub_sights};
 use super::plate::{Plate, PlateShape};
-use super::reconstruct::{self, Scattered};
+use super::reconstruct::{ROWS, Scattered, reconstruct};
+use super::scatter::Scatter;
+use super::spectrum::{Lane, One, Spectrum, narrow, vectorised};
+use super::visibility;
 use rayon::prelude::*;
 
 /// Most spectral groups in one operator.
 pub const GROUPS_MAX: usize = 64;
 
-/// Rounds of sampling: a first guess and corrections.
-const ROUNDS_MAX: usize = 4;
+/// Rounds of sampling: a pilot and corrections.
+const ROUNDS_MAX: usize = 8;
 
-/// Paths per leaf in the first round.
-const FIRST_PATHS_PER_LEAF: f64 = 8.0;
+/// Paths of a round over those before it, at most.
+const GROWTH_MAX: f64 = 3.0;
 
-/// Every so many active pixels one is used to estimate the noise between rounds.
-const PROBE_STRIDE: usize = 17;
+/// Cuts of the medium into leaves: a first guess and finer ones.
+const CUTS_MAX: usize = 3;
 
-/// Sub-sights per axis in pixels that the plate's edge crosses.
-const EDGE_SIGHTS: usize = 4;
+/// Paths of the pilot: as many as bring the noise to twice the target where one path per image has a deviation of 0.5.
+const PILOT_DEVIATION: f64 = 0.25;
+const PILOT_MIN: f64 = 8192.0;
+const PILOT_MAX: f64 = 1_048_576.0;
 
-/// Cells along an axis from which on later segments of paths march on blocks of 2³ cells.
-const COARSE_FROM_CELLS: usize = 40;
+/// At least so many candidates are used to estimate errors between rounds.
+const PROBES: usize = 8192;
+
+/// Share of the target that the estimated errors of scattered light may take.
+const MARGIN: f64 = 0.75;
 
 /// Pixels of one parallel task.
 const TASK_PIXELS: usize = 64;
+
+/// Errors are computed for pixels at this distance, and averaged up to that one.
+const ERROR_STRIDE: usize = 4;
+const ERROR_REACH: usize = 8;
+
+/// Share of the target that a single sight through a pixel may err.
+const PIXEL_SHARE: f32 = 0.5;
+
+/// Albedo over target below which scattering is left out: what is scattered changes a coefficient by at most the albedo.
+const ALBEDO_SHARE: f64 = 0.1;
+
+/// Depth and spread of leaves and of path blocks at a target of 1e-3; they go with the root of the target.
+const LEAF: Limits = Limits { depth: 0.3, spread: 0.1 };
+const BLOCK: Limits = Limits { depth: 1.0, spread: 0.04 };
+
+/// Cells are cut into at most so many along an edge, and so many in all.
+const SUBDIVISION_MAX: usize = 4;
+const SUBDIVIDED_CELLS_MAX: usize = 1 << 19;
 
 /// How an image is rendered.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,13 +77,11 @@ pub struct RenderOptions {
     pub scatter: bool,
     /// Upper limit of the number of paths; when it is reached the operator's errors say so.
     pub paths_max: u64,
-    /// From its third segment on a path marches on blocks of this many cells cubed (1 = the cells; 0 = by their number).
-    pub path_coarsening: usize,
 }
 
 impl Default for RenderOptions {
     fn default() -> Self {
-        Self { target_error: 1e-3, seed: 1, scatter: true, paths_max: 1 << 26, path_coarsening: 0 }
+        Self { target_error: 1e-3, seed: 1, scatter: true, paths_max: 1 << 28 }
     }
 }
 
@@ -78,337 +105,518 @@ pub fn render_image(
     }
     let sights = camera.sights()?;
     let plate = plate.map(Plate::new).transpose()?;
-    let job = Job { medium, camera, sights, plate: plate.as_ref(), options, progress };
-    match medium.groups.div_ceil(8) {
-        1 => Ok(job.render::<1>()),
-        2 => Ok(job.render::<2>()),
-        3 => Ok(job.render::<3>()),
-        4 => Ok(job.render::<4>()),
-        5 | 6 => Ok(job.render::<6>()),
-        7 | 8 => Ok(job.render::<8>()),
+    let frame = Frame { camera, sights: &sights, plate: plate.as_ref() };
+    let job = Job { medium, frame, options, progress };
+    match medium.groups {
+        1 => Ok(job.render::<One>()),
+        2..=8 => Ok(job.render::<[Lane; 1]>()),
+        9..=16 => Ok(job.render::<[Lane; 2]>()),
+        17..=24 => Ok(job.render::<[Lane; 3]>()),
+        25..=32 => Ok(job.render::<[Lane; 4]>()),
+        33..=64 => Ok(job.render::<[Lane; 8]>()),
         _ => Err(TracerError::Groups { groups: medium.groups, limit: GROUPS_MAX }),
     }
 }
 
 struct Job<'a> {
     medium: &'a GridMedium,
-    camera: &'a Camera,
-    sights: Sights,
-    plate: Option<&'a Plate>,
+    frame: Frame<'a>,
     options: &'a RenderOptions,
     progress: &'a (dyn Fn(f64) + Sync),
 }
 
-/// One pixel that meets the medium.
+/// Figures of the work, by name.
+type Stats = Vec<(String, f64)>;
+
+/// In-scattered light with the leaves that it belongs to.
+struct Lit<S> {
+    scattered: Scattered<S>,
+    leaves: Leaves,
+}
+
+/// What is known of a pixel besides its coefficients.
 #[derive(Clone, Copy)]
-struct Active {
-    pixel: u32,
-    /// Sub-sights per axis.
-    sights: usize,
+struct Summary {
+    /// Plate and medium, mean over the groups.
+    shown: [f32; ROWS],
+    /// Noise and reconstruction error together, of plate and medium.
+    error: [f32; ROWS],
+    met: bool,
+    sights: u32,
+    cells: u32,
 }
 
 impl Job<'_> {
-    fn render<const N: usize>(&self) -> Operator {
-        let fine = Packed::<N>::new(self.medium, 1);
-        let (plate_seen, active) = self.survey(&fine);
-        let mut stats = vec![
-            ("pixels".to_owned(), real(plate_seen.len())),
-            ("pixels_active".to_owned(), real(active.len())),
-            ("pixels_skipped".to_owned(), real(plate_seen.len() - active.len())),
-            ("cells_occupied".to_owned(), real(fine.k.len())),
-        ];
-        (self.progress)(0.02);
-        let scatters = self.medium.k_sca.iter().any(|&k| k > 0.0);
-        let scattered = (self.options.scatter && scatters && !active.is_empty())
-            .then(|| self.scatter(&fine, &active, &mut stats));
-        let operator = self.gather(&fine, scattered.as_ref(), plate_seen, &active, stats);
+    fn render<S: Spectrum>(&self) -> Operator {
+        let factor = self.subdivision();
+        let fine = Fine::<S>::new(self.medium, factor);
+        let mut stats = Stats::new();
+        let plate_seen = self.frame.plate_seen();
+        let candidates = self.frame.candidates(&fine.bricks, &fine.occupied);
+        let pixels = plate_seen.len();
+        tell(&mut stats, "cells", real(self.medium.index.len()));
+        tell(&mut stats, "cells_occupied", real(self.medium.occupied()));
+        tell(&mut stats, "subdivision", real(factor));
+        tell(&mut stats, "bricks", real(fine.bricks.list.len()));
+        tell(&mut stats, "bricks_skipped", real(fine.bricks.list.len() - fine.occupied.len()));
+        (self.progress)(0.05);
+        let lit = self.lit(&fine, &candidates, &mut stats);
+        let mut operator = self.gather(&fine, lit.as_ref(), plate_seen, &candidates, &mut stats);
+        stats.insert(0, ("pixels".to_owned(), real(pixels)));
+        stats.insert(1, ("pixels_active".to_owned(), real(operator.pixels.len())));
+        stats.insert(2, ("pixels_skipped".to_owned(), real(pixels - operator.pixels.len())));
+        operator.stats = stats;
         (self.progress)(1.0);
         operator
     }
 
-    /// Which pixels meet the medium, how finely they must be sampled, and what each sees of the plate.
-    fn survey<const N: usize>(&self, fine: &Packed<N>) -> (Vec<f32>, Vec<Active>) {
-        let (rows, columns) = (self.camera.rows, self.camera.columns);
-        let box_filter = self.camera.pixel_filter == PixelFilter::Box;
-        let meets = |row: f64, column: f64| {
-            let (origin, direction) = self.sights.ray(row, column);
-            let mut met = false;
-            fine.lattice.walk(origin, direction, f64::INFINITY, |_, _, _| {
-                met = true;
-                false
-            });
-            met
-        };
-        let sees = |row: f64, column: f64| {
-            let (origin, direction) = self.sights.ray(row, column);
-            self.plate.is_some_and(|p| p.hit(origin, direction).is_some())
-        };
-        // Corners of pixels are shared: one flag per corner.
-        let corners: Vec<[bool; 2]> = (0..=rows)
-            .into_par_iter()
-            .flat_map_iter(|r| (0..=columns).map(move |c| [meets(real(r), real(c)), sees(real(r), real(c))]))
-            .collect();
-        let wide = self.pixel_is_wide(fine);
-        let surveyed: Vec<(f32, Option<Active>)> = (0..rows * columns)
-            .into_par_iter()
-            .with_min_len(256)
-            .map(|pixel| {
-                let (row, column) = (pixel / columns, pixel % columns);
-                let at = [0, 1, columns + 1, columns + 2].map(|k| corners[row * (columns + 1) + column + k]);
-                let centre =
-                    [meets(real(row) + 0.5, real(column) + 0.5), sees(real(row) + 0.5, real(column) + 0.5)];
-                let same = |k: usize| at.iter().all(|c| c[k] == centre[k]);
-                let (edge, border) = (box_filter && !same(1), box_filter && !same(0));
-                let sights = if edge {
-                    EDGE_SIGHTS
-                } else if border || (wide && box_filter) {
-                    2
-                } else {
-                    1
-                };
-                let seen = if edge {
-                    let hits = sub_sights(row, column, EDGE_SIGHTS).filter(|&(r, c)| sees(r, c)).count();
-                    narrow(real(hits) / real(EDGE_SIGHTS * EDGE_SIGHTS))
-                } else {
-                    f32::from(u8::from(centre[1]))
-                };
-                let active = centre[0] || (box_filter && at.iter().any(|c| c[0]));
-                let pixel = u32::try_from(pixel).unwrap_or(u32::MAX);
-                (seen, active.then_some(Active { pixel, sights }))
-            })
-            .collect();
-        (surveyed.iter().map(|s| s.0).collect(), surveyed.iter().filter_map(|s| s.1).collect())
+    /// Into how many each cell is cut along its edges: light that is scattered inside a cell changes over a mean free path,
+    /// and with the extinction from one cell to the next.
+    fn subdivision(&self) -> usize {
+        let m = self.medium;
+        let size = [0, 1, 2].map(|a| (m.upper_m[a] - m.lower_m[a]) / real(m.cells[a]));
+        let edge = size[0].max(size[1]).max(size[2]);
+        let scatters =
+            |(&e, &s): (&f64, &f64)| if s > ALBEDO_SHARE * self.options.target_error * e { e } else { 0.0 };
+        let most = m.k_ext.par_iter().zip(&m.k_sca).map(scatters).reduce(|| 0.0, f64::max);
+        let wanted = f64::from(LEAF.depth) * (self.options.target_error / 1e-3).sqrt().clamp(0.3, 3.0);
+        let mut factor = 1;
+        while self.options.scatter
+            && factor < SUBDIVISION_MAX
+            && most * edge > wanted * real(factor)
+            && m.occupied() * (2 * factor).pow(3) <= SUBDIVIDED_CELLS_MAX
+        {
+            factor *= 2;
+        }
+        factor
     }
 
-    /// Whether a pixel covers more than half a cell where the camera looks at the medium.
-    fn pixel_is_wide<const N: usize>(&self, fine: &Packed<N>) -> bool {
-        let cells = fine.lattice.cells.map(|n| 0.5 * real(n));
-        let centre = fine.lattice.place(cells);
-        let (_, distance) = self.sights.towards(centre);
-        let (o0, d0) = self.sights.ray(0.5 * real(self.camera.rows), 0.5 * real(self.camera.columns));
-        let (o1, d1) = self.sights.ray(0.5 * real(self.camera.rows), 0.5 * real(self.camera.columns) + 1.0);
-        let apart = super::vector::sub(
-            super::vector::along(o1, distance, d1),
-            super::vector::along(o0, distance, d0),
-        );
-        let smallest = fine.lattice.size.iter().fold(f64::INFINITY, |a, &b| a.min(b));
-        super::vector::dot(apart, apart).sqrt() > 0.5 * smallest
+    /// In-scattered light, unless nothing scatters or nobody would see it.
+    fn lit<S: Spectrum>(&self, fine: &Fine<S>, candidates: &[u32], stats: &mut Stats) -> Option<Lit<S>> {
+        let albedo = fine.core.par_iter().map(|c| c[1].largest()).reduce(|| 0.0, f32::max);
+        let skipped = f64::from(albedo) <= ALBEDO_SHARE * self.options.target_error;
+        if !self.options.scatter || skipped || candidates.is_empty() {
+            // What is left out: paths; and the error that it admits where the target allows it.
+            tell(stats, "skipped_scattering", 1.0);
+            tell(
+                stats,
+                "skipped_scattering_error",
+                if self.options.scatter { f64::from(albedo) } else { 0.0 },
+            );
+            return None;
+        }
+        Some(self.scatter(fine, candidates, stats))
     }
 
-    /// Samples the cache until the noise of the image is below the target.
-    fn scatter<const N: usize>(
-        &self,
-        fine: &Packed<N>,
-        active: &[Active],
-        stats: &mut Vec<(String, f64)>,
-    ) -> Scattered<N> {
-        let factor = match self.options.path_coarsening {
-            0 if self.medium.cells.iter().any(|&n| n >= COARSE_FROM_CELLS) => 2,
-            0 => 1,
-            f => f,
-        };
-        let coarse = (factor > 1).then(|| Packed::<N>::new(self.medium, factor));
-        let leaves = Leaves::new(fine, &self.sights);
-        let phase = PhaseLanes::new(&self.medium.phase);
-        let world = World {
-            coarse: coarse.as_ref(),
-            leaves: &leaves,
-            phase: &phase,
-            plate: self.plate,
-            sights: &self.sights,
-            fine,
-            groups: self.medium.groups,
-            seed: self.options.seed,
-        };
-        let mut cache = Cache::<N>::new(&leaves, self.medium.channels);
-        let mut sums = vec![[Lane::ZERO; N]; leaves.list.len() * cache.rows];
-        let mut wanted = FIRST_PATHS_PER_LEAF * real(leaves.list.len());
-        let mut rounds = 0;
-        let (mut scattered, error) = loop {
-            let left = real_wide(self.options.paths_max.saturating_sub(cache.samples));
-            let share = 0.05 + 0.3 * real(rounds);
-            cache.add(&world, &mut sums, wanted.min(left), &|p| (self.progress)(share + 0.3 * p));
-            rounds += 1;
-            let scattered = reconstruct::per_cell(fine, &leaves, &cache, &sums);
-            let error = self.probe(fine, &scattered, active);
-            let ratio = error / self.options.target_error;
-            if ratio <= 1.0 || rounds == ROUNDS_MAX || cache.samples >= self.options.paths_max {
-                break (scattered, error);
-            }
-            wanted = real_wide(cache.samples) * (1.1 * ratio * ratio - 1.0);
-        };
-        scattered.times_albedo(fine);
-        stats.extend([
-            ("leaves".to_owned(), real(leaves.list.len())),
-            ("paths".to_owned(), real_wide(cache.samples)),
-            ("scatterings".to_owned(), real_wide(cache.scatterings)),
-            ("rounds".to_owned(), real(rounds)),
-            ("path_coarsening".to_owned(), real(factor)),
-            ("error_estimated".to_owned(), error),
-        ]);
-        scattered
-    }
-
-    /// Rms noise over a part of the active pixels, the larger one of plate and medium.
-    fn probe<const N: usize>(&self, fine: &Packed<N>, scattered: &Scattered<N>, active: &[Active]) -> f64 {
-        let probed: Vec<[f32; 2]> = active
-            .par_iter()
-            .step_by(if active.len() > 64 * PROBE_STRIDE { PROBE_STRIDE } else { 1 })
-            .map(|a| {
-                let (row, column) =
-                    (a.pixel as usize / self.camera.columns, a.pixel as usize % self.camera.columns);
-                let ray = self.sights.ray(real(row) + 0.5, real(column) + 0.5);
-                let mut sight = Sight::<N>::new(self.medium.channels);
-                pulp::Arch::new().dispatch(
-                    #[inline(always)]
-                    || sight.add(fine, Some(scattered), self.plate, ray),
+    /// Samples the cache until the errors of the image are below the target.
+    fn scatter<S: Spectrum>(&self, fine: &Fine<S>, candidates: &[u32], stats: &mut Stats) -> Lit<S> {
+        // What the estimates of the errors miss is left room for.
+        let target = MARGIN * self.options.target_error;
+        let scatter = Scatter::<S>::new(&self.medium.phase);
+        let probes = self.probes(fine, candidates);
+        let mut scale = (target / 1e-3).sqrt().clamp(0.3, 3.0);
+        let (mut rounds, mut cuts) = (0, 0);
+        loop {
+            let limits =
+                |l: Limits| Limits { depth: l.depth * narrow(scale), spread: l.spread * narrow(scale) };
+            let blocks = Blocks::<S>::new(fine, limits(BLOCK));
+            let bricks = cut(fine, limits(LEAF));
+            let count: usize = fine.occupied.iter().map(|&b| bricks.list[b].blocks()).sum();
+            let mut leaves = Leaves { bricks, occupied: fine.occupied.clone(), demand: vec![0.0; count] };
+            visibility::demand(fine, &mut leaves, self.frame.sights, self.frame.plate, &probes);
+            let world = World { blocks: &blocks, scatter: &scatter, plate: self.frame.plate };
+            let mut cache = Cache::<S>::new(count, fine.channels);
+            let mut wanted = (PILOT_DEVIATION / target).powi(2).clamp(PILOT_MIN, PILOT_MAX);
+            let mut round = 0;
+            let (scattered, [noise, bias]) = loop {
+                let left = real_wide(self.options.paths_max.saturating_sub(cache.samples));
+                let done = 0.05 + 0.2 * real(rounds.min(4));
+                let told = |p: f64| (self.progress)(done + 0.15 * p);
+                cache.add(
+                    fine,
+                    &leaves,
+                    &world,
+                    self.frame.sights,
+                    self.options.seed,
+                    wanted.min(left),
+                    &told,
                 );
-                sight.noise_rms(self.medium.groups)
-            })
-            .collect();
-        let square = |v: f32| f64::from(v) * f64::from(v);
-        let mean = |k: usize| probed.iter().map(|n| square(n[k])).sum::<f64>() / real(probed.len().max(1));
-        mean(0).max(mean(1)).sqrt()
+                rounds += 1;
+                round += 1;
+                let scattered = reconstruct(fine, &leaves, &cache);
+                let errors = self.probe(fine, &scattered, &leaves, candidates);
+                // What is left for noise beside the reconstruction, a third of the target at least.
+                let room = (target * target - errors[1] * errors[1]).max(target * target / 9.0).sqrt();
+                let ratio = errors[0] / room;
+                if ratio <= 1.0 || round == ROUNDS_MAX || cache.samples >= self.options.paths_max {
+                    break (scattered, errors);
+                }
+                // Differences between leaves hold noise too: the reconstruction looks worse than it is until there is less.
+                wanted = real_wide(cache.samples) * (1.1 * ratio * ratio - 1.0).min(GROWTH_MAX);
+            };
+            cuts += 1;
+            let done = bias <= 0.8 * target
+                || cuts == CUTS_MAX
+                || finest(&leaves)
+                || cache.samples >= self.options.paths_max;
+            if done {
+                for (name, value) in [
+                    ("leaves", real(count)),
+                    ("leaves_seen", real(leaves.demand.iter().filter(|&&d| d > 0.0).count())),
+                    ("leaves_skipped", real(leaves.demand.iter().filter(|&&d| d <= 0.0).count())),
+                    ("blocks", real(blocks.core.len())),
+                    ("paths", real_wide(cache.samples)),
+                    ("scatterings", real_wide(cache.scatterings)),
+                    ("blocks_visited", real_wide(cache.blocks)),
+                    ("rounds", real(rounds)),
+                    ("cuts", real(cuts)),
+                    ("error_noise", noise),
+                    ("error_reconstruction", bias),
+                ] {
+                    tell(stats, name, value);
+                }
+                return Lit { scattered, leaves };
+            }
+            scale *= (0.6 * target / bias).sqrt().clamp(0.2, 0.7);
+        }
     }
 
-    fn gather<const N: usize>(
-        &self,
-        fine: &Packed<N>,
-        scattered: Option<&Scattered<N>>,
-        plate_seen: Vec<f32>,
-        active: &[Active],
-        stats: Vec<(String, f64)>,
-    ) -> Operator {
-        let (groups, channels) = (self.medium.groups, self.medium.channels);
-        let n = active.len();
-        let mut operator = Operator {
-            rows: self.camera.rows,
-            columns: self.camera.columns,
-            groups,
-            channels,
-            plate_seen,
-            pixels: active.iter().map(|a| a.pixel).collect(),
-            a_plate: vec![0.0; n * groups],
-            emission: vec![0.0; n * groups * channels],
-            direct: vec![0.0; n * groups * channels],
-            error_plate: vec![0.0; n],
-            error_medium: vec![0.0; n],
-            stats,
+    /// Sights close enough together that no leaf is missed that a pixel can see.
+    fn probes<S: Spectrum>(&self, fine: &Fine<S>, candidates: &[u32]) -> Vec<(f64, f64)> {
+        let columns = self.frame.camera.columns;
+        let wide = self.frame.pixel_in_cells(&fine.bricks);
+        let centre = self.frame.camera.pixel_filter == PixelFilter::Centre;
+        let stride = if wide <= 0.25 {
+            4
+        } else if wide <= 0.5 {
+            2
+        } else {
+            1
         };
-        let arch = pulp::Arch::new();
-        let wide = groups * channels;
-        let noise: Vec<[f32; 2]> = active
-            .par_chunks(TASK_PIXELS)
-            .zip(operator.a_plate.par_chunks_mut(TASK_PIXELS * groups))
-            .zip(operator.emission.par_chunks_mut(TASK_PIXELS * wide))
-            .zip(operator.direct.par_chunks_mut(TASK_PIXELS * wide))
-            .flat_map_iter(|(((active, plates), emissions), directs)| {
-                let mut sight = Sight::<N>::new(channels);
-                let mut noise = Vec::with_capacity(active.len());
-                for (i, a) in active.iter().enumerate() {
-                    arch.dispatch(
+        let fine_sights = if centre || wide <= 1.0 {
+            1
+        } else if wide <= 2.0 {
+            2
+        } else {
+            4
+        };
+        candidates
+            .iter()
+            .map(|&p| (p as usize / columns, p as usize % columns))
+            // Rows are shifted against each other, so that the sights do not line up with the cells.
+            .filter(|&(row, column)| row % stride == 0 && (column + row / stride) % stride == 0)
+            .flat_map(|(row, column)| sub_sights(row, column, fine_sights))
+            .collect()
+    }
+
+    /// Rms noise and reconstruction error over a part of the pixels, the larger ones of plate and medium.
+    fn probe<S: Spectrum>(
+        &self,
+        fine: &Fine<S>,
+        scattered: &Scattered<S>,
+        leaves: &Leaves,
+        candidates: &[u32],
+    ) -> [f64; 2] {
+        let light = Light::new(scattered, leaves);
+        let field = Field { fine, plate: self.frame.plate, light: Some(light) };
+        let columns = self.frame.camera.columns;
+        // An odd stride walks through all columns.
+        let stride = (candidates.len() / PROBES).max(1) | 1;
+        let probed: Vec<[[f32; ROWS]; 2]> = candidates
+            .par_iter()
+            .step_by(stride)
+            .with_min_len(64)
+            .map_init(
+                || Sight::<S>::new(fine.channels),
+                |sight, &pixel| {
+                    let (row, column) = (pixel as usize / columns, pixel as usize % columns);
+                    sight.clear();
+                    vectorised(
                         #[inline(always)]
-                        || self.pixel(fine, scattered, *a, &mut sight),
+                        || {
+                            sight.add::<true>(
+                                &field,
+                                self.frame.sights.ray(real(row) + 0.5, real(column) + 0.5),
+                                1.0,
+                            )
+                        },
                     );
-                    let share = 1.0 / narrow(real(sight.count.max(1)));
-                    unpack(&sight.plate, share, &mut plates[i * groups..(i + 1) * groups]);
-                    for c in 0..channels {
-                        let place = (i * channels + c) * groups..(i * channels + c + 1) * groups;
-                        let total = if scattered.is_some() { &sight.emission[c] } else { &sight.direct[c] };
-                        unpack(total, share, &mut emissions[place.clone()]);
-                        unpack(&sight.direct[c], share, &mut directs[place]);
-                    }
-                    close(
-                        &mut plates[i * groups..(i + 1) * groups],
-                        &mut emissions[i * wide..i * wide + groups],
-                    );
-                    noise.push(sight.error_rms(groups));
-                }
-                noise
+                    sight.met.then(|| sight.errors(fine.groups))
+                },
+            )
+            .flatten()
+            .collect();
+        let mean = |kind: usize, row: usize| {
+            probed.iter().map(|e| f64::from(e[kind][row]).powi(2)).sum::<f64>() / real(probed.len().max(1))
+        };
+        [0, 1].map(|kind: usize| mean(kind, 0).max(mean(kind, 1)).sqrt())
+    }
+
+    fn gather<S: Spectrum>(
+        &self,
+        fine: &Fine<S>,
+        lit: Option<&Lit<S>>,
+        plate_seen: Vec<f32>,
+        candidates: &[u32],
+        stats: &mut Stats,
+    ) -> Operator {
+        let field = Field {
+            fine,
+            plate: self.frame.plate,
+            light: lit.map(|lit| Light::new(&lit.scattered, &lit.leaves)),
+        };
+        let width = fine.groups * (1 + 2 * fine.channels);
+        let mut values = vec![0.0_f32; candidates.len() * width];
+        let mut summaries: Vec<Summary> = values
+            .par_chunks_mut(width * TASK_PIXELS)
+            .zip(candidates.par_chunks(TASK_PIXELS))
+            .flat_map_iter(|(values, pixels)| {
+                let jobs: Vec<(u32, usize)> = pixels.iter().map(|&p| (p, 1)).collect();
+                self.pixels(&field, &plate_seen, &jobs, values)
             })
             .collect();
-        self.spread_errors(&noise, &mut operator);
+        // Where the image bends from pixel to pixel, one sight does not give the mean.
+        let mut shown: Vec<[f32; ROWS]> = plate_seen.iter().map(|&seen| [seen, 0.0]).collect();
+        for (&pixel, summary) in candidates.iter().zip(&summaries) {
+            shown[pixel as usize] = summary.shown;
+        }
+        let tolerance = PIXEL_SHARE * narrow(self.options.target_error);
+        let refined: Vec<(usize, [f32; ROWS])> = candidates
+            .par_iter()
+            .with_min_len(1024)
+            .map(|&p| self.frame.refinement(&shown, p as usize, plate_seen[p as usize], tolerance))
+            .collect();
+        let again: Vec<usize> = (0..candidates.len()).filter(|&i| refined[i].0 > 1).collect();
+        let mut more = vec![0.0_f32; again.len() * width];
+        let second: Vec<Summary> = more
+            .par_chunks_mut(width * 16)
+            .zip(again.par_chunks(16))
+            .flat_map_iter(|(values, chosen)| {
+                let jobs: Vec<(u32, usize)> = chosen.iter().map(|&i| (candidates[i], refined[i].0)).collect();
+                self.pixels(&field, &plate_seen, &jobs, values)
+            })
+            .collect();
+        for ((&i, values_more), summary) in again.iter().zip(more.chunks_exact(width)).zip(second) {
+            values[i * width..(i + 1) * width].copy_from_slice(values_more);
+            let before = summaries[i];
+            summaries[i] = Summary {
+                met: summary.met || before.met,
+                sights: summary.sights + before.sights,
+                cells: summary.cells + before.cells,
+                ..summary
+            };
+        }
+        let rms = |row: usize| {
+            let square = |e: &(usize, [f32; ROWS])| f64::from(e.1[row]).powi(2);
+            (refined.iter().map(square).sum::<f64>() / real(refined.len().max(1))).sqrt()
+        };
+        tell(stats, "sights", summaries.iter().map(|s| f64::from(s.sights)).sum());
+        tell(stats, "cells_visited", summaries.iter().map(|s| f64::from(s.cells)).sum());
+        tell(stats, "pixels_refined", real(again.len()));
+        tell(stats, "error_pixel", rms(0).max(rms(1)));
+        let active: Vec<usize> = (0..candidates.len()).filter(|&i| summaries[i].met).collect();
+        let operator = self.assemble(fine, plate_seen, candidates, &values, &active);
+        let operator = self.errors(operator, &summaries, &refined, &active, stats);
         operator
     }
 
-    #[inline(always)]
-    fn pixel<const N: usize>(
+    /// The sights of some pixels with so many sub-sights per axis; coefficients into `values`, pixel by pixel plate,
+    /// emission, direct emission.
+    fn pixels<S: Spectrum>(
         &self,
-        fine: &Packed<N>,
-        scattered: Option<&Scattered<N>>,
-        active: Active,
-        sight: &mut Sight<N>,
-    ) {
-        let (row, column) =
-            (active.pixel as usize / self.camera.columns, active.pixel as usize % self.camera.columns);
-        sight.clear();
-        for (r, c) in sub_sights(row, column, active.sights) {
-            sight.add(fine, scattered, self.plate, self.sights.ray(r, c));
+        field: &Field<'_, S>,
+        plate_seen: &[f32],
+        jobs: &[(u32, usize)],
+        values: &mut [f32],
+    ) -> Vec<Summary> {
+        let (groups, channels) = (field.fine.groups, field.fine.channels);
+        let columns = self.frame.camera.columns;
+        let mut sight = Sight::<S>::new(channels);
+        let width = groups * (1 + 2 * channels);
+        let mut summaries = Vec::with_capacity(jobs.len());
+        vectorised(
+            #[inline(always)]
+            || {
+                for (&(pixel, n), values) in jobs.iter().zip(values.chunks_exact_mut(width)) {
+                    let (row, column) = (pixel as usize / columns, pixel as usize % columns);
+                    sight.clear();
+                    (sight.sights, sight.cells) = (0, 0);
+                    let shares = self.shares(row, column, n, plate_seen[pixel as usize]);
+                    let mut k = 0;
+                    while k < n * n {
+                        let place = [k / n, k % n].map(|i| (real(i) + 0.5) / real(n));
+                        let (r, c) = (real(row) + place[0], real(column) + place[1]);
+                        let ray = self.frame.sights.ray(r, c);
+                        let share = match shares {
+                            None => 1.0,
+                            Some([on, off]) if self.frame.sees(r, c) => on.max(off.min(0.0)),
+                            Some([_, off]) => off,
+                        };
+                        if with_errors(row, column) {
+                            sight.add::<true>(field, ray, share);
+                        } else {
+                            sight.add::<false>(field, ray, share);
+                        }
+                        k += 1;
+                    }
+                    summaries.push(finish(&sight, groups, values));
+                }
+            },
+        );
+        summaries
+    }
+
+    /// Weights of sub-sights that see the plate and of those that do not, where its edge crosses the pixel.
+    fn shares(&self, row: usize, column: usize, n: usize, seen: f32) -> Option<[f32; 2]> {
+        if n == 1 || seen <= 0.0 || seen >= 1.0 {
+            return None;
+        }
+        let hits = sub_sights(row, column, n).filter(|&(r, c)| self.frame.sees(r, c)).count();
+        let misses = n * n - hits;
+        (hits > 0 && misses > 0).then(|| [seen / narrow(real(hits)), (1.0 - seen) / narrow(real(misses))])
+    }
+
+    fn assemble<S: Spectrum>(
+        &self,
+        fine: &Fine<S>,
+        plate_seen: Vec<f32>,
+        candidates: &[u32],
+        values: &[f32],
+        active: &[usize],
+    ) -> Operator {
+        let (groups, channels) = (fine.groups, fine.channels);
+        let width = groups * (1 + 2 * channels);
+        let part = |from: usize, to: usize| -> Vec<f32> {
+            let mut out = vec![0.0; active.len() * (to - from)];
+            out.par_chunks_mut(1024 * (to - from)).zip(active.par_chunks(1024)).for_each(|(out, active)| {
+                for (out, &i) in out.chunks_exact_mut(to - from).zip(active) {
+                    out.copy_from_slice(&values[i * width + from..i * width + to]);
+                }
+            });
+            out
+        };
+        Operator {
+            rows: self.frame.camera.rows,
+            columns: self.frame.camera.columns,
+            groups,
+            channels,
+            plate_seen,
+            pixels: active.iter().map(|&i| candidates[i]).collect(),
+            a_plate: part(0, groups),
+            emission: part(groups, groups * (1 + channels)),
+            direct: part(groups * (1 + channels), width),
+            error_plate: Vec::new(),
+            error_medium: Vec::new(),
+            stats: Vec::new(),
         }
     }
 
-    /// The half differences are single draws: their rms over 9×9 pixels is the error.
-    fn spread_errors(&self, noise: &[[f32; 2]], operator: &mut Operator) {
+    /// The half differences are single draws: their rms over nearby pixels is the error, to which that of the mean over
+    /// the pixel's area is added.
+    fn errors(
+        &self,
+        mut operator: Operator,
+        summaries: &[Summary],
+        refined: &[(usize, [f32; ROWS])],
+        active: &[usize],
+        stats: &mut Stats,
+    ) -> Operator {
         let (rows, columns) = (operator.rows, operator.columns);
-        let mut image = vec![[f32::NAN; 2]; rows * columns];
-        for (&pixel, &n) in operator.pixels.iter().zip(noise) {
-            image[pixel as usize] = n;
+        let mut image = vec![[f32::NAN; ROWS]; rows * columns];
+        let (mut mean, mut count) = ([0.0_f32; ROWS], 0.0_f32);
+        for (&pixel, &i) in operator.pixels.iter().zip(active) {
+            if with_errors(pixel as usize / columns, pixel as usize % columns) {
+                let square = summaries[i].error.map(|e| e * e);
+                image[pixel as usize] = square;
+                mean = [mean[0] + square[0], mean[1] + square[1]];
+                count += 1.0;
+            }
         }
-        let pixels = &operator.pixels;
-        let spread: Vec<[f32; 2]> = pixels
+        let mean = mean.map(|m| m / count.max(1.0));
+        let spread: Vec<[f32; ROWS]> = operator
+            .pixels
             .par_iter()
+            .zip(active)
             .with_min_len(256)
-            .map(|&pixel| {
+            .map(|(&pixel, &i)| {
                 let (row, column) = (pixel as usize / columns, pixel as usize % columns);
-                let mut sum = [0.0_f32; 3];
-                for r in row.saturating_sub(8)..(row + 9).min(rows) {
-                    if (r + row) % 2 == 1 {
-                        continue;
-                    }
-                    for c in (column.saturating_sub(8)..(column + 9).min(columns))
-                        .filter(|c| (c + column) % 2 == 0)
-                    {
-                        let n = image[r * columns + c];
-                        if !n[0].is_nan() {
-                            sum = [sum[0] + n[0] * n[0], sum[1] + n[1] * n[1], sum[2] + 1.0];
+                let (mut sum, mut n) = ([0.0_f32; ROWS], 0.0_f32);
+                let low = [row, column].map(|i| i.saturating_sub(ERROR_REACH).next_multiple_of(ERROR_STRIDE));
+                for r in (low[0]..(row + ERROR_REACH + 1).min(rows)).step_by(ERROR_STRIDE) {
+                    for c in (low[1]..(column + ERROR_REACH + 1).min(columns)).step_by(ERROR_STRIDE) {
+                        let e = image[r * columns + c];
+                        if !e[0].is_nan() {
+                            sum = [sum[0] + e[0], sum[1] + e[1]];
+                            n += 1.0;
                         }
                     }
                 }
-                [(sum[0] / sum[2]).sqrt(), (sum[1] / sum[2]).sqrt()]
+                if n <= 0.0 {
+                    // A lonely pixel between those with errors.
+                    (sum, n) = (mean, 1.0);
+                }
+                [0, 1].map(|k: usize| (sum[k] / n).sqrt().hypot(refined[i].1[k]))
             })
             .collect();
         operator.error_plate = spread.iter().map(|s| s[0]).collect();
         operator.error_medium = spread.iter().map(|s| s[1]).collect();
         let rms = |errors: &[f32]| {
-            (errors.iter().map(|&e| f64::from(e) * f64::from(e)).sum::<f64>() / real(errors.len().max(1)))
-                .sqrt()
+            (errors.iter().map(|&e| f64::from(e).powi(2)).sum::<f64>() / real(errors.len().max(1))).sqrt()
         };
-        operator.stats.push(("error_plate_rms".to_owned(), rms(&operator.error_plate)));
-        operator.stats.push(("error_medium_rms".to_owned(), rms(&operator.error_medium)));
+        tell(stats, "error_plate_rms", rms(&operator.error_plate));
+        tell(stats, "error_medium_rms", rms(&operator.error_medium));
+        operator
     }
 }
 
-/// Positions of `n`² sub-sights in a pixel.
-fn sub_sights(row: usize, column: usize, n: usize) -> impl Iterator<Item = (f64, f64)> {
-    let place = move |k: usize| (real(k) + 0.5) / real(n);
-    (0..n * n).map(move |k| (real(row) + place(k / n), real(column) + place(k % n)))
+/// Whether a pixel's errors are followed: for one in 16, of which those nearby are averaged.
+fn with_errors(row: usize, column: usize) -> bool {
+    row % ERROR_STRIDE == 0 && column % ERROR_STRIDE == 0
 }
 
-fn unpack<const N: usize>(lanes: &[Lane; N], share: f32, out: &mut [f32]) {
-    for (g, value) in out.iter_mut().enumerate() {
-        *value = lanes[g / 8].0[g % 8] * share;
-    }
+/// Whether no leaf can be cut further.
+fn finest(leaves: &Leaves) -> bool {
+    leaves.occupied.len() * CELLS == leaves.demand.len()
 }
 
-/// Keeps a_plate + a_medium at most 1 against the rounding of their sums (1e-6), so that a_walls is never negative.
-fn close(plate: &mut [f32], medium: &mut [f32]) {
-    for (p, m) in plate.iter_mut().zip(medium) {
-        let sum = *p + *m;
+/// A complete sight as coefficients.
+fn finish<S: Spectrum>(sight: &Sight<S>, groups: usize, values: &mut [f32]) -> Summary {
+    let share = 1.0 / sight.weight.max(f32::MIN_POSITIVE);
+    let channels = sight.emission.len();
+    let mut shown = [0.0; ROWS];
+    for g in 0..groups {
+        let mut plate = sight.plate.get(g) * share;
+        let mut medium = (sight.direct[0].get(g) + sight.emission[0].get(g)) * share;
+        // Against the rounding of the sums (1e-6), so that the walls' share is never negative.
+        let sum = plate + medium;
         if sum > 1.0 {
-            *p /= sum;
-            *m /= sum;
+            plate /= sum;
+            medium /= sum;
+        }
+        values[g] = plate;
+        values[groups + g] = medium;
+        shown[0] += plate;
+        shown[1] += medium;
+        values[(1 + channels) * groups + g] = sight.direct[0].get(g) * share;
+        for c in 1..channels {
+            let direct = sight.direct[c].get(g);
+            values[(1 + c) * groups + g] = (direct + sight.emission[c].get(g)) * share;
+            values[(1 + channels + c) * groups + g] = direct * share;
         }
     }
+    let per_group = 1.0 / narrow(real(groups));
+    let [noise, bias] = sight.errors(groups);
+    Summary {
+        shown: shown.map(|s| s * per_group),
+        error: [noise[0].hypot(bias[0]), noise[1].hypot(bias[1])],
+        met: sight.met,
+        sights: u32::try_from(sight.sights).unwrap_or(u32::MAX),
+        cells: u32::try_from(sight.cells).unwrap_or(u32::MAX),
+    }
+}
+
+fn tell(stats: &mut Stats, name: &str, value: f64) {
+    stats.push((name.to_owned(), value));
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]

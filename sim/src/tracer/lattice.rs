@@ -52,21 +52,6 @@ impl Lattice {
         clip_box(self.lower, self.upper, origin, direction, far)
     }
 
-    /// The centre of a cell, or of any place in cell units.
-    #[inline]
-    pub(super) fn place(&self, units: Vector) -> Vector {
-        [0, 1, 2].map(|a| self.lower[a] + units[a] * self.size[a])
-    }
-
-    /// Where a point lies in its cell, from −½ to ½ along each axis.
-    #[inline(always)]
-    pub(super) fn offset(&self, point: Vector) -> [f32; 3] {
-        [0, 1, 2].map(|a| {
-            let units = (point[a] - self.lower[a]) / self.size[a];
-            super::packed::narrow(units - units.floor() - 0.5)
-        })
-    }
-
     /// Visits the occupied cells along a ray in order: ordinal, start and end in units of `direction`. The visitor
     /// returns false to stop.
     #[inline(always)]

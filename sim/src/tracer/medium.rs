@@ -4,6 +4,7 @@
 
 use super::error::TracerError;
 use crate::light::phase::PhaseFunction;
+use rayon::prelude::*;
 
 /// Marks an empty cell in [`GridMedium::index`].
 pub const EMPTY: u32 = u32::MAX;
@@ -73,7 +74,7 @@ impl GridMedium {
         shape("k_sca", self.k_sca.len(), self.k_ext.len())?;
         shape("emission", self.emission.len(), self.k_ext.len() * self.channels)?;
         shape("phase", self.phase.len(), self.groups)?;
-        if let Some(entry) = self.index.iter().position(|&i| i != EMPTY && i as usize >= occupied) {
+        if let Some(entry) = self.index.par_iter().position_first(|&i| i != EMPTY && i as usize >= occupied) {
             let value = f64::from(self.index[entry]);
             return Err(TracerError::Coefficient {
                 what: "index",
@@ -82,7 +83,9 @@ impl GridMedium {
                 condition: "an ordinal or EMPTY",
             });
         }
-        let positive = |what, values: &[f64]| match values.iter().position(|v| !(v.is_finite() && *v >= 0.0))
+        let positive = |what, values: &[f64]| match values
+            .par_iter()
+            .position_first(|v| !(v.is_finite() && *v >= 0.0))
         {
             Some(entry) => Err(TracerError::Coefficient {
                 what,
@@ -97,7 +100,7 @@ impl GridMedium {
         positive("emission", &self.emission)?;
         // A sum of two roundings may exceed the extinction by a few units in the last place.
         let above = |(&s, &e): (&f64, &f64)| s > e * (1.0 + 1e-12);
-        if let Some(entry) = self.k_sca.iter().zip(&self.k_ext).position(above) {
+        if let Some(entry) = self.k_sca.par_iter().zip(&self.k_ext).position_first(above) {
             let value = self.k_sca[entry];
             return Err(TracerError::Coefficient { what: "k_sca", entry, value, condition: "at most k_ext" });
         }

@@ -128,6 +128,11 @@ impl Plate {
         inside.then_some(distance)
     }
 
+    /// Its centre; none for a cone.
+    pub(super) fn centre(&self) -> Option<Vector> {
+        (!matches!(self.form, Form::Cone { .. })).then_some(self.centre)
+    }
+
     /// Whether it fills most of a half space, so that aiming at it gains nothing.
     pub fn is_wide(&self) -> bool {
         matches!(self.form, Form::Cone { versine, .. } if versine > 0.5)

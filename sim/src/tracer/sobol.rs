@@ -59,6 +59,115 @@ const fn directions() -> [[u32; 32]; SOBOL_DIMENSIONS] {
     table
 }
 
+/// Direction numbers with their bits reversed, summed up: what changes from point i to i + 1 is entry
+/// trailing_zeros(i + 1).
+static STEPS: [[u32; SOBOL_DIMENSIONS]; 32] = steps();
+
+const fn steps() -> [[u32; SOBOL_DIMENSIONS]; 32] {
+    let mut table = [[0_u32; SOBOL_DIMENSIONS]; 32];
+    let mut dimension = 0;
+    while dimension < SOBOL_DIMENSIONS {
+        let mut bit = 0;
+        let mut sum = 0;
+        while bit < 32 {
+            sum ^= DIRECTIONS[dimension][bit].reverse_bits();
+            table[bit][dimension] = sum;
+            bit += 1;
+        }
+        dimension += 1;
+    }
+    table
+}
+
+/// A scrambled sequence, its keys at hand.
+#[derive(Debug, Clone)]
+pub(super) struct Sequence {
+    seed: u32,
+    keys: [u32; SOBOL_DIMENSIONS],
+}
+
+impl Sequence {
+    /// The sequence named `seed`.
+    pub(super) fn new(seed: u32) -> Self {
+        #[expect(clippy::cast_possible_truncation, reason = "sixteen dimensions")]
+        let keys = std::array::from_fn(|dimension| key(seed, dimension as u32));
+        Self { seed, keys }
+    }
+
+    /// Its points from `index` on, one after the other.
+    #[inline(always)]
+    pub(super) fn from(&self, index: u32) -> Run<'_> {
+        let mut state = [0_u32; SOBOL_DIMENSIONS];
+        let mut rest = index;
+        while rest != 0 {
+            let bit = rest.trailing_zeros() as usize;
+            for d in 0..SOBOL_DIMENSIONS {
+                state[d] ^= DIRECTIONS[d][bit].reverse_bits();
+            }
+            rest &= rest - 1;
+        }
+        Run { sequence: self, state, index }
+    }
+}
+
+/// Consecutive points of a sequence: what [`Point`] gives, all leading coordinates at once.
+pub(super) struct Run<'a> {
+    sequence: &'a Sequence,
+    state: [u32; SOBOL_DIMENSIONS],
+    index: u32,
+}
+
+/// The coordinates of one point.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Coordinates {
+    bits: [u32; SOBOL_DIMENSIONS],
+    seed: u32,
+    index: u32,
+}
+
+impl Run<'_> {
+    /// The next point.
+    #[inline(always)]
+    pub(super) fn next(&mut self) -> Coordinates {
+        let mut bits = [0; SOBOL_DIMENSIONS];
+        for d in 0..SOBOL_DIMENSIONS {
+            bits[d] = scramble_reversed(self.state[d], self.sequence.keys[d]);
+        }
+        let index = self.index;
+        self.index = index.wrapping_add(1);
+        let step = &STEPS[(self.index.trailing_zeros() as usize).min(31)];
+        for d in 0..SOBOL_DIMENSIONS {
+            self.state[d] ^= step[d];
+        }
+        Coordinates { bits, seed: self.sequence.seed, index }
+    }
+}
+
+impl Coordinates {
+    /// Coordinate `dimension`, strictly between 0 and 1.
+    #[inline(always)]
+    pub(super) fn get(&self, dimension: usize) -> f64 {
+        let bits = if dimension < SOBOL_DIMENSIONS {
+            self.bits[dimension]
+        } else {
+            #[expect(clippy::cast_possible_truncation, reason = "dimensions are counted in thousands")]
+            beyond(key(self.seed, dimension as u32), self.index)
+        };
+        (f64::from(bits) + 0.5) * (1.0 / 4_294_967_296.0)
+    }
+}
+
+#[inline]
+fn key(seed: u32, dimension: u32) -> u32 {
+    hash(seed ^ hash(dimension ^ 0x5bd1_e995))
+}
+
+/// Dimensions without low discrepancy.
+#[inline]
+fn beyond(key: u32, index: u32) -> u32 {
+    hash(key ^ hash(index.wrapping_mul(0x9e37_79b9) ^ key.rotate_left(16)))
+}
+
 /// Point number `index` of one scrambled sequence.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Point {
@@ -76,11 +185,11 @@ impl Point {
     #[inline]
     pub(super) fn coordinate(self, dimension: usize) -> f64 {
         #[expect(clippy::cast_possible_truncation, reason = "dimensions are counted in hundreds")]
-        let key = hash(self.seed ^ hash(dimension as u32 ^ 0x5bd1_e995));
+        let key = key(self.seed, dimension as u32);
         let bits = if dimension < SOBOL_DIMENSIONS {
-            owen_scramble(sobol(self.index, dimension), key)
+            scramble_reversed(sobol(self.index, dimension).reverse_bits(), key)
         } else {
-            hash(key ^ hash(self.index.wrapping_mul(0x9e37_79b9) ^ key.rotate_left(16)))
+            beyond(key, self.index)
         };
         (f64::from(bits) + 0.5) * (1.0 / 4_294_967_296.0)
     }
@@ -99,10 +208,10 @@ fn sobol(index: u32, dimension: usize) -> u32 {
 }
 
 /// Nested uniform scrambling by a hash that only lets low bits act on high ones: Laine and Karras, Comput. Graph.
-/// Forum 30, 1265 (2011), with the constants of N. Vegdahl (2021).
-#[inline]
-fn owen_scramble(value: u32, key: u32) -> u32 {
-    let mut x = value.reverse_bits();
+/// Forum 30, 1265 (2011), with the constants of N. Vegdahl (2021). Takes a value with its bits reversed.
+#[inline(always)]
+fn scramble_reversed(reversed: u32, key: u32) -> u32 {
+    let mut x = reversed;
     x ^= x.wrapping_mul(0x3d20_adea);
     x = x.wrapping_add(key);
     x = x.wrapping_mul((key >> 16) | 1);
@@ -145,6 +254,20 @@ mod tests {
                     let cell = (0..256).rev().find(|&c| x >= c as f64).unwrap();
                     assert!(!seen[cell], "dimension {dimension} seed {seed}");
                     seen[cell] = true;
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_run_gives_the_points_themselves() {
+        let sequence = Sequence::new(91);
+        for start in [0, 1, 7, 1023, u32::MAX - 3] {
+            let mut run = sequence.from(start);
+            for i in 0..40 {
+                let (point, coordinates) = (Point::new(91, start.wrapping_add(i)), run.next());
+                for dimension in 0..SOBOL_DIMENSIONS + 3 {
+                    assert_eq!(point.coordinate(dimension).to_bits(), coordinates.get(dimension).to_bits());
                 }
             }
         }
