@@ -12,10 +12,13 @@ pub mod rays;
 pub mod shape;
 
 mod cache;
+mod chord;
 mod gather;
+mod guess;
 mod lanes;
 mod lattice;
 mod packed;
+mod path;
 mod reconstruct;
 mod sobol;
 mod vector;
