@@ -8,7 +8,9 @@
 #[path = "../tests/rte_cases/mod.rs"]
 mod rte_cases;
 
-use ditd_sim::tracer::rays::RayOptions;
+use ditd_sim::tracer::plate::{Plate, PlateShape};
+use ditd_sim::tracer::rays::{RayOptions, render_rays};
+use ditd_sim::tracer::shape::{Body, Shape, ShapeMedium};
 use rte_cases::{Row, grid, half_space, slab, summary, table};
 use std::time::Instant;
 
@@ -58,8 +60,52 @@ fn main() {
         );
         all.extend(rows);
     }
+    lists(&options);
+    if all.is_empty() {
+        return;
+    }
     let (largest, rms) = summary(&all);
     println!("all: largest |z| {largest:.2}, rms z {rms:.3}");
+}
+
+/// Lists of four rays through deep slabs, the cosines of the tables: time, and the largest standard error.
+fn lists(options: &RayOptions) {
+    for (name, albedo, depth, half_angle_deg) in [
+        ("iso", 1.0, 40.0, 90.0),
+        ("iso", 0.999, 40.0, 90.0),
+        ("iso", 0.9, 40.0, 90.0),
+        ("hg0_9", 1.0, 40.0, 90.0),
+        ("hg0_9", 0.999, 40.0, 90.0),
+        ("hg0_9", 0.9, 40.0, 10.0),
+        ("mie_a", 1.0, 40.0, 90.0),
+        ("mie_a", 0.95, 40.0, 20.0),
+        ("iso", 1.0, 400.0, 90.0),
+        ("hg0_9", 1.0, 1000.0, 90.0),
+        ("iso", 0.999_999, 10_000.0, 90.0),
+    ] {
+        let medium = ShapeMedium {
+            shape: Shape::Slab { thickness_m: 0.01, optical_depth: depth },
+            albedo,
+            phase: rte_cases::phase(name),
+        };
+        let plate =
+            Plate::new(&PlateShape::Cone { facing: [0.0, 0.0, 1.0], half_angle_deg }).expect("a plate");
+        let body = Body::shape(&medium).expect("a slab");
+        let rays = [1.0_f64, 0.9, 0.6, 0.2].map(|mu| ([0.0, 0.0, 1.0], [(1.0 - mu * mu).sqrt(), 0.0, -mu]));
+        let (wall, processor) = (Instant::now(), processor_seconds());
+        let answers = render_rays(&body, &rays, Some(&plate), options).expect("rays");
+        let worst =
+            answers.iter().fold(0.0_f64, |a, r| a.max(r.se_plate).max(r.se_walls).max(r.se_medium[0]));
+        let cut: u64 = answers.iter().map(|a| a.cut).sum();
+        println!(
+            "four rays: slab {name} omega {albedo} tau {depth} half angle {half_angle_deg}: largest se {worst:.1e}, \
+             paths {:?} cut {cut}, processor {:.2} s, wall {:.2} s, a_plate {:.6?}",
+            answers.iter().map(|a| a.paths).collect::<Vec<_>>(),
+            processor_seconds() - processor,
+            wall.elapsed().as_secs_f64(),
+            answers.iter().map(|a| a.plate).collect::<Vec<_>>()
+        );
+    }
 }
 
 /// Processor time of this process in seconds (Linux; 0 elsewhere): what counts on a machine shared with others.

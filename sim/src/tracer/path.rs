@@ -13,17 +13,14 @@ use std::f64::consts::{PI, TAU};
 /// Roulette starts below this weight, which it restores.
 const ROULETTE_WEIGHT: f64 = 0.05;
 
-/// Collisions after which a path is cut and counted.
-const COLLISIONS_MAX: usize = 200_000;
-
 /// Coordinates per collision: distance, scattering angle, azimuth, two for aiming.
 const DIMENSIONS: usize = 5;
 
 /// Where the coordinates of the roulette start.
-const ROULETTE_DIMENSIONS: usize = 1_000_003;
+const ROULETTE_DIMENSIONS: usize = 1 << 29;
 
 /// Where the coordinates start that choose a visited place.
-const VISITED_DIMENSIONS: usize = 3_000_017;
+const VISITED_DIMENSIONS: usize = 2 << 29;
 
 /// A ray in its surroundings.
 #[derive(Clone, Copy)]
@@ -110,12 +107,14 @@ impl World<'_> {
         (along(ray.0, self.body.place(piece, depth, ray.0, ray.1), ray.1), piece.cell)
     }
 
-    /// Follows one path from its first collision and adds what it finds.
+    /// Follows one path from its first collision and adds what it finds; cuts and counts it after so many collisions.
+    #[expect(clippy::too_many_arguments, reason = "what a path is made of, named at its three calls")]
     pub(super) fn path(
         &self,
         first: &FirstSegment,
         point: Point,
         guess: &dyn Guess,
+        collisions_max: usize,
         scratch: &mut Scratch,
         tally: &mut Tally,
     ) {
@@ -135,7 +134,7 @@ impl World<'_> {
         let ray = (self.origin, direction);
         let (mut place, mut cell) = self.collide(&first.pieces, &first.scattered, ray, point.coordinate(0));
         guess.collide(place, direction, -(-first.depth).exp_m1(), tally);
-        for collision in 0..COLLISIONS_MAX {
+        for collision in 0..collisions_max {
             tally.collisions += 1;
             let dimension = DIMENSIONS * collision;
             if !tally.features.is_empty() {

@@ -18,8 +18,15 @@ use std::f64::consts::TAU;
 /// Independent scrambles; their scatter gives standard errors with 31 degrees of freedom (12 % uncertain).
 const REPLICATES: u32 = 32;
 
-/// Points per scramble in the first round; each further round doubles them.
+/// Points per scramble in the first round, each further round doubles them; and in lists so long (images) that the error
+/// of a single ray's standard error averages out.
 const FIRST_POINTS: u32 = 64;
+const FIRST_POINTS_OF_MANY: u32 = 4;
+const MANY_RAYS: usize = 1000;
+
+/// Collisions after which a path is cut and counted, as a part of the ray's limit, and bounds of it.
+const COLLISIONS_PART: u64 = 20;
+const PATH_COLLISIONS: [usize; 2] = [1000, 2_000_000];
 
 /// Paths from which a guess is learned: as many tasks as its paths are shared by, and how many per function.
 const LEARNING_TASKS: u32 = 16;
@@ -27,10 +34,10 @@ const PATHS_PER_FUNCTION: usize = 16;
 const LEARNING_PATHS: [usize; 2] = [2048, 8192];
 
 /// Coordinates that choose directions from visited places.
-const STARTING_DIMENSIONS: usize = 4_000_037;
+const STARTING_DIMENSIONS: usize = 3 << 29;
 
-/// Collisions after which a task of learning stops.
-const LEARNING_COLLISIONS_MAX: u64 = 500_000;
+/// Collisions after which a task of learning stops, as a part of a ray's limit.
+const LEARNING_COLLISIONS_PART: u64 = 80;
 
 /// Times the paths of learning that all rays together must still need before a guess is worth learning.
 const WORTH_LEARNING: f64 = 2.0;
@@ -49,8 +56,8 @@ pub struct RayOptions {
     pub collisions_max: u64,
 }
 
-/// Default of [`RayOptions::collisions_max`]: about 20 s of one core at 200 ns a collision.
-pub const COLLISIONS_PER_RAY_MAX: u64 = 100_000_000;
+/// Default of [`RayOptions::collisions_max`]: about 10 s of one core at 250 ns a collision.
+pub const COLLISIONS_PER_RAY_MAX: u64 = 40_000_000;
 
 impl Default for RayOptions {
     fn default() -> Self {
@@ -106,6 +113,7 @@ pub fn render_rays(
             Ok(World { body, plate, origin, direction })
         })
         .collect::<Result<_, _>>()?;
+    let limits = Limits::new(rays.len(), options);
     let mut states: Vec<State> = worlds
         .par_iter()
         .zip(numbers())
@@ -113,22 +121,29 @@ pub fn render_rays(
             let first = world.first();
             // Nothing to find: no plate, and a medium that does not emit.
             if first.scatters() <= 0.0 || (plate.is_none() && body.is_conservative()) {
-                return State::Done(Run::new(world, &first).answer(&first));
+                return State::Done(Run::new(world, &first, &limits).answer(&first));
             }
-            let mut run = Run::new(world, &first);
-            run.round(number, &Nothing, options);
-            run.round(number, &Nothing, options);
-            if run.enough(options) { State::Done(run.answer(&first)) } else { State::Open(run.needs(options)) }
+            let mut run = Run::new(world, &first, &limits);
+            for _ in 0..2 {
+                if !run.enough(options) {
+                    run.round(number, &Nothing, options);
+                }
+            }
+            if run.enough(options) {
+                State::Done(run.answer(&first))
+            } else {
+                State::Open(run.needs(options))
+            }
         })
         .collect();
     let open: Vec<usize> = (0..states.len()).filter(|&i| matches!(states[i], State::Open(_))).collect();
     let needed: f64 = states.iter().map(|s| if let State::Open(paths) = s { *paths } else { 0.0 }).sum();
     let guess = guess::family(body)
         .filter(|family| needed > WORTH_LEARNING * learning_paths(family.as_ref()) as f64)
-        .and_then(|family| learn(family.as_ref(), &worlds, &open, options.seed));
+        .and_then(|family| learn(family.as_ref(), &worlds, &open, &limits, options.seed));
     states.par_iter_mut().zip(&worlds).zip(numbers()).for_each(|((state, world), number)| {
         if let State::Open(needed) = state {
-            *state = State::Done(finish(world, number, *needed, guess.as_deref(), options));
+            *state = State::Done(finish(world, number, *needed, guess.as_deref(), (&limits, options)));
         }
     });
     Ok(states
@@ -156,7 +171,13 @@ fn learning_paths(family: &dyn Family) -> usize {
 }
 
 /// Fits the family to the scores of paths of a few of the rays; none where they do not determine it.
-fn learn(family: &dyn Family, worlds: &[World<'_>], open: &[usize], seed: u64) -> Option<Box<dyn Guess>> {
+fn learn(
+    family: &dyn Family,
+    worlds: &[World<'_>],
+    open: &[usize],
+    limits: &Limits,
+    seed: u64,
+) -> Option<Box<dyn Guess>> {
     let paths = u32::try_from(learning_paths(family)).ok()? / LEARNING_TASKS;
     let tasks: Vec<Moments> = (0..LEARNING_TASKS)
         .into_par_iter()
@@ -172,7 +193,7 @@ fn learn(family: &dyn Family, worlds: &[World<'_>], open: &[usize], seed: u64) -
             for index in 0..paths / 2 {
                 let point = Point::new(name, index);
                 tally.clear();
-                world.path(&first, point, family, &mut scratch, &mut tally);
+                world.path(&first, point, family, limits.path, &mut scratch, &mut tally);
                 moments.add(&tally);
                 let (place, cell) = tally.visited;
                 let cosine = 2.0 * point.coordinate(STARTING_DIMENSIONS) - 1.0;
@@ -183,10 +204,11 @@ fn learn(family: &dyn Family, worlds: &[World<'_>], open: &[usize], seed: u64) -
                 let first = inner.first();
                 tally.clear();
                 tally.scores.copy_from_slice(&first.direct);
-                inner.path(&first, Point::new(others, index), family, &mut scratch, &mut tally);
+                let point = Point::new(others, index);
+                inner.path(&first, point, family, limits.path, &mut scratch, &mut tally);
                 family.subtract(place, direction, cell, &mut tally);
                 moments.add_null(&tally);
-                if tally.collisions > LEARNING_COLLISIONS_MAX {
+                if tally.collisions > limits.learning {
                     break;
                 }
             }
@@ -205,18 +227,22 @@ fn finish(
     number: u32,
     needed: f64,
     guess: Option<&dyn Guess>,
-    options: &RayOptions,
+    (limits, options): (&Limits, &RayOptions),
 ) -> RayAnswer {
     let first = world.first();
-    let mut run = Run::new(world, &first);
+    let mut run = Run::new(world, &first, limits);
     let mut used: &dyn Guess = &Nothing;
     if let Some(guess) = guess {
-        run.round(number, guess, options);
-        run.round(number, guess, options);
+        // Few paths tell little about the rare ones that a guess leaves.
+        for _ in 0..3 {
+            if !run.exhausted(options) {
+                run.round(number, guess, options);
+            }
+        }
         if run.needs(options) < needed {
             used = guess;
         } else {
-            run = Run::new(world, &first);
+            run = Run::new(world, &first, limits);
         }
     }
     while !run.enough(options) {
@@ -225,10 +251,31 @@ fn finish(
     run.answer(&first)
 }
 
+/// What follows from the options and the number of rays.
+struct Limits {
+    first_points: u32,
+    /// Collisions per path.
+    path: usize,
+    /// Collisions per task of learning.
+    learning: u64,
+}
+
+impl Limits {
+    fn new(rays: usize, options: &RayOptions) -> Self {
+        let path = usize::try_from(options.collisions_max / COLLISIONS_PART).unwrap_or(usize::MAX);
+        Self {
+            first_points: if rays > MANY_RAYS { FIRST_POINTS_OF_MANY } else { FIRST_POINTS },
+            path: path.clamp(PATH_COLLISIONS[0], PATH_COLLISIONS[1]),
+            learning: options.collisions_max / LEARNING_COLLISIONS_PART,
+        }
+    }
+}
+
 /// Paths of one ray.
 struct Run<'a> {
     world: &'a World<'a>,
     first: &'a FirstSegment,
+    limits: &'a Limits,
     replicates: Vec<Tally>,
     /// Points per replicate so far.
     points: u32,
@@ -246,21 +293,23 @@ struct Errors {
 }
 
 impl<'a> Run<'a> {
-    fn new(world: &'a World<'a>, first: &'a FirstSegment) -> Self {
+    fn new(world: &'a World<'a>, first: &'a FirstSegment, limits: &'a Limits) -> Self {
         let scores = world.scores();
         let errors = Errors { channels: vec![0.0; scores - 1], ..Errors::default() };
-        Self { world, first, replicates: vec![Tally::new(scores, 0); REPLICATES as usize], points: 0, errors, worst_before: f64::INFINITY }
+        let replicates = vec![Tally::new(scores, 0); REPLICATES as usize];
+        Self { world, first, limits, replicates, points: 0, errors, worst_before: f64::INFINITY }
     }
 
     /// Doubles the paths.
     fn round(&mut self, number: u32, guess: &dyn Guess, options: &RayOptions) {
-        let (before, next) = (self.points, if self.points == 0 { FIRST_POINTS } else { self.points * 2 });
-        let (world, first) = (self.world, self.first);
+        let (before, next) =
+            (self.points, if self.points == 0 { self.limits.first_points } else { self.points * 2 });
+        let (world, first, limits) = (self.world, self.first, self.limits);
         self.replicates.par_iter_mut().zip(numbers()).for_each(|(tally, r)| {
             let name = sobol::sequence(options.seed, number, r);
             let mut scratch = Scratch::default();
             for index in before..next {
-                world.path(first, Point::new(name, index), guess, &mut scratch, tally);
+                world.path(first, Point::new(name, index), guess, limits.path, &mut scratch, tally);
             }
         });
         self.points = next;
@@ -271,12 +320,18 @@ impl<'a> Run<'a> {
     /// Whether the target is reached twice in a row (a round without the rare paths that matter looks better than it
     /// is), or another round would pass a limit.
     fn enough(&self, options: &RayOptions) -> bool {
-        let reached = self.worst() <= options.target_error && self.worst_before <= 2.0 * options.target_error;
+        let target = options.target_error;
         self.points > 0
-            && (reached
-                || self.paths() * 2 > options.paths_max
+            && (self.worst() <= target && self.worst_before <= 2.0 * target || self.exhausted(options))
+    }
+
+    /// Whether another round would pass a limit.
+    fn exhausted(&self, options: &RayOptions) -> bool {
+        let collisions: u64 = self.replicates.iter().map(|r| r.collisions).sum();
+        self.points > 0
+            && (self.paths() * 2 > options.paths_max
                 || self.points > u32::MAX / 2
-                || self.replicates.iter().map(|r| r.collisions).sum::<u64>() * 2 > options.collisions_max)
+                || collisions * 2 > options.collisions_max)
     }
 
     fn worst(&self) -> f64 {
@@ -319,10 +374,11 @@ impl<'a> Run<'a> {
         let mut medium: Vec<f64> =
             (1..self.world.scores()).map(|c| (first.direct[c] + mean(c)).max(0.0)).collect();
         // Only a_medium is a share; other channels are in the unit of their source.
-        medium[0] = medium[0].min(1.0 - plate);
+        // A share below the rounding of 1 keeps its digits.
+        medium[0] = medium[0].min(1.0 - plate + 0.5 * f64::EPSILON).min(1.0);
         RayAnswer {
             plate,
-            walls: 1.0 - plate - medium[0],
+            walls: (1.0 - plate - medium[0]).max(0.0),
             medium,
             se_plate: self.errors.plate,
             se_walls: self.errors.walls,

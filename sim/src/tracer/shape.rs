@@ -106,7 +106,7 @@ impl<'a> Body<'a> {
     ///
     /// # Errors
     ///
-    /// [`TracerError`] for lengths that are not positive, a negative extinction, or an albedo outside [0, 1].
+    /// [`TracerError`] for lengths that are not positive, places that are not finite, a negative extinction, or an albedo outside [0, 1].
     pub fn shape(medium: &'a ShapeMedium) -> Result<Self, TracerError> {
         let positive = |what, value: f64| {
             if value > 0.0 && value.is_finite() {
@@ -115,24 +115,37 @@ impl<'a> Body<'a> {
                 Err(TracerError::Geometry { what, condition: "positive and finite" })
             }
         };
+        let finite = |what, places: &[Vector]| {
+            if places.iter().flatten().all(|c| c.is_finite()) {
+                Ok(())
+            } else {
+                Err(TracerError::Geometry { what, condition: "finite" })
+            }
+        };
         let mut shape = medium.shape.clone();
         let extinction = match &mut shape {
             Shape::Slab { thickness_m, optical_depth } => {
                 positive("the slab's thickness", *thickness_m)?;
-                optical_depth.min(DEPTH_OF_HALF_SPACE) / *thickness_m
+                // Not `min`, which would take what is not a number for an infinite depth.
+                let depth =
+                    if *optical_depth > DEPTH_OF_HALF_SPACE { DEPTH_OF_HALF_SPACE } else { *optical_depth };
+                depth / *thickness_m
             }
-            Shape::Sphere { radius_m, extinction, .. } => {
+            Shape::Sphere { centre_m, radius_m, extinction } => {
+                finite("the sphere's centre", &[*centre_m])?;
                 positive("the sphere's radius", *radius_m)?;
                 *extinction
             }
-            Shape::Cylinder { radius_m, extinction, axis, .. } => {
+            Shape::Cylinder { centre_m, radius_m, extinction, axis } => {
+                finite("the cylinder's centre", &[*centre_m])?;
                 positive("the cylinder's radius", *radius_m)?;
                 let condition = "a direction of finite length";
                 *axis =
                     unit(*axis).ok_or(TracerError::Geometry { what: "the cylinder's axis", condition })?;
                 *extinction
             }
-            Shape::Gaussian { width_m, extinction, .. } => {
+            Shape::Gaussian { centre_m, width_m, extinction } => {
+                finite("the gaussian's centre", &[*centre_m])?;
                 positive("the gaussian's width", *width_m)?;
                 *extinction
             }

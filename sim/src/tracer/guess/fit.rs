@@ -128,8 +128,7 @@ pub(in crate::tracer) fn solve(moments: &Moments) -> Option<Vec<f64>> {
 /// (G + ratio) c = wanted for the rows and columns `met` of the packed triangle G, by Cholesky's decomposition.
 fn regularised(squares: &[f64], met: &[usize], wanted: &[f64], ratio: f64) -> Vec<f64> {
     let n = met.len();
-    let scale: Vec<f64> =
-        met.iter().map(|&i| 1.0 / (squares[i * (i + 1) / 2 + i] + ratio).sqrt()).collect();
+    let scale: Vec<f64> = met.iter().map(|&i| 1.0 / (squares[i * (i + 1) / 2 + i] + ratio).sqrt()).collect();
     let mut matrix = vec![0.0; n * (n + 1) / 2];
     for i in 0..n {
         let (before, row) = matrix.split_at_mut(i * (i + 1) / 2);

@@ -32,7 +32,12 @@ pub(super) struct GridFamily {
 
 impl GridFamily {
     #[expect(clippy::cast_possible_truncation, reason = "fewer than 2^32 cells, as EMPTY demands")]
-    pub(super) fn new(lattice: &Lattice, medium: &GridMedium, group: usize, phase: &PhaseFunction) -> Option<Self> {
+    pub(super) fn new(
+        lattice: &Lattice,
+        medium: &GridMedium,
+        group: usize,
+        phase: &PhaseFunction,
+    ) -> Option<Self> {
         let occupied = medium.occupied();
         if occupied == 0 || occupied * PARTS * (1 + medium.channels) > TABLE_MAX {
             return None;
@@ -129,7 +134,8 @@ impl Family for GridFamily {
         let mut table = vec![[0.0; PARTS]; self.cells.len() * scores];
         for (ordinal, values) in (0..).zip(table.chunks_exact_mut(scores)) {
             self.around(ordinal, |crossing, weight| {
-                for (part, c) in coefficients[crossing * PARTS * scores..].chunks_exact(scores).take(PARTS).enumerate()
+                for (part, c) in
+                    coefficients[crossing * PARTS * scores..].chunks_exact(scores).take(PARTS).enumerate()
                 {
                     for (value, c) in values.iter_mut().zip(c) {
                         value[part] += weight * c;

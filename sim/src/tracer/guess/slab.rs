@@ -43,12 +43,7 @@ struct Frame {
 }
 
 impl SlabFamily {
-    pub(super) fn new(
-        thickness_m: f64,
-        extinction: f64,
-        albedo: f64,
-        phase: &PhaseFunction,
-    ) -> Option<Self> {
+    pub(super) fn new(thickness_m: f64, extinction: f64, albedo: f64, phase: &PhaseFunction) -> Option<Self> {
         let depth = thickness_m * extinction;
         if !(DEPTH_LIMITS[0]..=DEPTH_LIMITS[1]).contains(&depth) {
             return None;
@@ -282,7 +277,10 @@ mod tests {
                 for r in 0..SPLINES - 1 {
                     assert!((value(&splines[r + 1], 1.0) - value(&next[r], 0.0)).abs() < 1e-12);
                     let (a, b) = (slope(&splines[r + 1], 1.0) / here, slope(&next[r], 0.0) / there);
-                    assert!((a - b).abs() < 1e-12 * (a.abs() + b.abs() + 1.0 / here), "{depth} {i} {r}: {a} {b}");
+                    assert!(
+                        (a - b).abs() < 1e-12 * (a.abs() + b.abs() + 1.0 / here),
+                        "{depth} {i} {r}: {a} {b}"
+                    );
                 }
             }
         }

@@ -91,7 +91,14 @@ impl SolidFamily {
 
     /// Calls `sink` with the ordinal of every function and what it adds.
     #[inline(always)]
-    fn each(&self, place: Vector, direction: Vector, weight: f64, losing: bool, mut sink: impl FnMut(usize, f64)) {
+    fn each(
+        &self,
+        place: Vector,
+        direction: Vector,
+        weight: f64,
+        losing: bool,
+        mut sink: impl FnMut(usize, f64),
+    ) {
         let offset = sub(place, self.centre);
         let mut powers = [[1.0; POWERS]; 3];
         // Coordinates and their derivatives along the ray.
@@ -140,7 +147,13 @@ impl SolidFamily {
     fn enter(&self, flight: &Flight<'_>, mut sink: impl FnMut(usize, f64)) {
         let Some(piece) = flight.pieces.first() else { return };
         // A ray inside an endless cylinder, along it, starts where it is and leaves nowhere.
-        self.each(along(flight.origin, piece.start, flight.direction), flight.direction, 1.0, false, &mut sink);
+        self.each(
+            along(flight.origin, piece.start, flight.direction),
+            flight.direction,
+            1.0,
+            false,
+            &mut sink,
+        );
         self.leave(flight, 1.0, &mut sink);
     }
 
