@@ -38,7 +38,7 @@ fn slab(optical_depth: f64, albedo: f64, phase: PhaseFunction) -> ShapeMedium {
 
 /// All directions upwards, to infinity.
 fn sky(half_angle_deg: f64) -> Plate {
-    Plate::new(&PlateShape::Cone { facing: [0.0, 0.0, 1.0], half_angle_deg }).unwrap()
+    Plate::new(&PlateShape::Cone { facing: [0.0, 0.0, 1.0], half_angle_deg }).expect("a plate")
 }
 
 /// From above, at the cosine `mu` to −z.
@@ -53,7 +53,7 @@ fn square(y: f64, size: f64) -> Plate {
         width_m: size,
         height_m: size,
     };
-    Plate::new(&shape).unwrap()
+    Plate::new(&shape).expect("a plate")
 }
 
 /// A cube from −1 to 1 of n³ cells with the extinction of each cell.
@@ -65,7 +65,7 @@ fn cube(n: usize, albedo: f64, phase: PhaseFunction, extinction: impl Fn([usize;
         cells: [n; 3],
         groups: 1,
         channels: 1,
-        index: (0..u32::try_from(n * n * n).unwrap()).collect(),
+        index: (0..).take(n * n * n).collect(),
         k_sca: k_ext.iter().map(|k| albedo * k).collect(),
         emission: k_ext.iter().map(|k| k - albedo * k).collect(),
         k_ext,
@@ -74,7 +74,7 @@ fn cube(n: usize, albedo: f64, phase: PhaseFunction, extinction: impl Fn([usize;
 }
 
 fn trace(body: &Body<'_>, rays: &[Ray], plate: Option<&Plate>, options: &RayOptions) -> Vec<RayAnswer> {
-    let answers = render_rays(body, rays, plate, options).unwrap();
+    let answers = render_rays(body, rays, plate, options).expect("a sound scene");
     for (answer, ray) in answers.iter().zip(rays) {
         assert_sound(answer, &format!("{ray:?}"));
     }
@@ -228,7 +228,7 @@ fn grids_may_be_wildly_uneven() {
     let decades =
         |c: [usize; 3]| 10_f64.powi(i32::try_from((c[0] * 49 + c[1] * 7 + c[2]) * 300 / 342).unwrap() - 150);
     let spike = |c: [usize; 3]| if c == [3, 3, 3] { 1e9 } else { 1.0 };
-    let board = |c: [usize; 3]| if (c[0] + c[1] + c[2]) % 2 == 0 { 0.0 } else { 1e6 };
+    let board = |c: [usize; 3]| if (c[0] + c[1] + c[2]).is_multiple_of(2) { 0.0 } else { 1e6 };
     let opaque = |c: [usize; 3]| if c == [2, 3, 3] { 1e6 } else { 1e-3 };
     let fields: [&dyn Fn([usize; 3]) -> f64; 4] = [&decades, &spike, &board, &opaque];
     let plate = square(1.5, 1.0);
@@ -375,7 +375,7 @@ fn cuts_through_a_uniform_medium_change_nothing() {
             cells: [1, 1, layers],
             groups: 1,
             channels: 1,
-            index: (0..u32::try_from(layers).unwrap()).collect(),
+            index: (0..).take(layers).collect(),
             k_ext: vec![100.0; layers],
             k_sca: vec![90.0; layers],
             emission: vec![10.0; layers],

@@ -17,7 +17,7 @@ fn cube(n: usize, albedo: f64, asymmetry: f64, extinction: impl Fn([usize; 3]) -
         cells: [n; 3],
         groups: 1,
         channels: 1,
-        index: (0..u32::try_from(n * n * n).unwrap()).collect(),
+        index: (0..).take(n * n * n).collect(),
         k_sca: k_ext.iter().map(|k| albedo * k).collect(),
         emission: k_ext.iter().map(|k| k - albedo * k).collect(),
         k_ext,
@@ -43,7 +43,7 @@ fn plate() -> PlateShape {
 
 fn render(medium: &GridMedium, camera: &Camera) -> Operator {
     let options = RenderOptions { target_error: 1e-2, paths_max: 1 << 16, ..RenderOptions::default() };
-    let image = render_image(medium, camera, Some(&plate()), &options, &|_| {}).unwrap();
+    let image = render_image(medium, camera, Some(&plate()), &options, &|_| {}).expect("a sound scene");
     assert_eq!(image.plate_seen.len(), camera.rows * camera.columns);
     assert!(image.pixels.windows(2).all(|p| p[0] < p[1]));
     for i in 0..image.pixels.len() {
@@ -121,7 +121,7 @@ fn fields_may_be_wildly_uneven() {
     let decades =
         |c: [usize; 3]| 10_f64.powi(i32::try_from((c[0] * 49 + c[1] * 7 + c[2]) * 300 / 342).unwrap() - 150);
     let spike = |c: [usize; 3]| if c == [3, 3, 3] { 1e9 } else { 1.0 };
-    let board = |c: [usize; 3]| if (c[0] + c[1] + c[2]) % 2 == 0 { 0.0 } else { 1e6 };
+    let board = |c: [usize; 3]| if (c[0] + c[1] + c[2]).is_multiple_of(2) { 0.0 } else { 1e6 };
     let fields: [&dyn Fn([usize; 3]) -> f64; 3] = [&decades, &spike, &board];
     for field in fields {
         for (albedo, asymmetry) in

@@ -33,6 +33,9 @@ const LEARNING_TASKS: u32 = 16;
 const PATHS_PER_FUNCTION: usize = 16;
 const LEARNING_PATHS: [usize; 2] = [2048, 8192];
 
+/// Collisions after which a path from anywhere stops: every stretch of it says by itself how wrong a guess is.
+const LOCAL_COLLISIONS: usize = 16;
+
 /// Coordinates that choose directions from visited places.
 const STARTING_DIMENSIONS: usize = 3 << 29;
 
@@ -188,26 +191,32 @@ fn learn(
             let mut tally = Tally::new(world.scores(), family.len());
             let mut scratch = Scratch::default();
             // Names that no ray's own paths have.
-            let name = sobol::sequence(!seed, u32::MAX, task);
-            let others = sobol::sequence(!seed, u32::MAX - 1, task);
+            let names = [0, 1, 2].map(|kind| sobol::sequence(!seed, u32::MAX - kind, task));
             for index in 0..paths / 2 {
-                let point = Point::new(name, index);
+                let point = Point::new(names[0], index);
                 tally.clear();
                 world.path(&first, point, family, limits.path, &mut scratch, &mut tally);
                 moments.add(&tally);
-                let (place, cell) = tally.visited;
-                let cosine = 2.0 * point.coordinate(STARTING_DIMENSIONS) - 1.0;
-                let azimuth = TAU * point.coordinate(STARTING_DIMENSIONS + 1);
-                let sine = (1.0 - cosine * cosine).sqrt();
-                let direction = [sine * azimuth.cos(), sine * azimuth.sin(), cosine];
-                let inner = World { origin: place, direction, ..*world };
-                let first = inner.first();
-                tally.clear();
-                tally.scores.copy_from_slice(&first.direct);
-                let point = Point::new(others, index);
-                inner.path(&first, point, family, limits.path, &mut scratch, &mut tally);
-                family.subtract(place, direction, cell, &mut tally);
-                moments.add_null(&tally);
+                let (visited, cell) = tally.visited;
+                let mut null = |place: Vector, collisions: usize, name: u32| {
+                    let point = Point::new(name, index);
+                    let direction = anywhere(
+                        point.coordinate(STARTING_DIMENSIONS),
+                        point.coordinate(STARTING_DIMENSIONS + 1),
+                    );
+                    let inner = World { origin: place, direction, ..*world };
+                    let first = inner.first();
+                    tally.clear();
+                    tally.scores.copy_from_slice(&first.direct);
+                    inner.path(&first, point, family, collisions, &mut scratch, &mut tally);
+                    family.subtract(place, direction, cell, &mut tally);
+                    moments.add_null(&tally);
+                };
+                null(visited, limits.path, names[1]);
+                let u = Point::new(names[2], index).coordinate(STARTING_DIMENSIONS + 2);
+                if let Some(place) = family.anywhere(visited, u) {
+                    null(place, LOCAL_COLLISIONS, names[2]);
+                }
                 if tally.collisions > limits.learning {
                     break;
                 }
@@ -219,6 +228,14 @@ fn learn(
     tasks.into_iter().for_each(|task| all.merge(task));
     let coefficients = guess::solve(&all)?;
     Some(family.fitted(&coefficients, worlds[open[0]].scores()))
+}
+
+/// A direction, uniform over the sphere.
+fn anywhere(u: f64, v: f64) -> Vector {
+    let cosine = 2.0 * u - 1.0;
+    let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+    let (s, c) = (TAU * v).sin_cos();
+    [sine * c, sine * s, cosine]
 }
 
 /// Traces a ray until its target or a limit is reached, with the guess if it needs fewer paths than without.
@@ -305,8 +322,10 @@ impl<'a> Run<'a> {
         let (before, next) =
             (self.points, if self.points == 0 { self.limits.first_points } else { self.points * 2 });
         let (world, first, limits) = (self.world, self.first, self.limits);
+        // Scenes that differ have noise of their own: rows of a table of scenes are independent.
+        let own = sobol::hash_of(first.scatters());
         self.replicates.par_iter_mut().zip(numbers()).for_each(|(tally, r)| {
-            let name = sobol::sequence(options.seed, number, r);
+            let name = sobol::sequence(options.seed, number ^ own, r);
             let mut scratch = Scratch::default();
             for index in before..next {
                 world.path(first, Point::new(name, index), guess, limits.path, &mut scratch, tally);

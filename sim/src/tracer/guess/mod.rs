@@ -79,6 +79,10 @@ pub(super) trait Guess: Sync {
 pub(super) trait Family: Guess {
     /// Number of functions.
     fn len(&self) -> usize;
+    /// A place anywhere in the medium, for `u` uniform in (0, 1): where paths hardly come, which deep media have.
+    fn anywhere(&self, _visited: Vector, _u: f64) -> Option<Vector> {
+        None
+    }
     /// Adds −φ of every function at a place in a cell to the features.
     fn subtract(&self, place: Vector, direction: Vector, cell: u32, tally: &mut Tally);
     /// The combination with these coefficients, `[function][score]`.

@@ -131,6 +131,16 @@ impl Family for SlabFamily {
         (self.frame.knots.len() + SPLINES - 2) * ORDERS
     }
 
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "u is in (0, 1)")]
+    fn anywhere(&self, visited: Vector, u: f64) -> Option<Vector> {
+        let Frame { lower_m, extinction, knots, .. } = &self.frame;
+        // As many in every stretch.
+        let along = u * (knots.len() - 1) as f64;
+        let stretch = (along as usize).min(knots.len() - 2);
+        let depth = knots[stretch] + (along - stretch as f64) * (knots[stretch + 1] - knots[stretch]);
+        Some([visited[0], visited[1], lower_m + depth / extinction])
+    }
+
     fn subtract(&self, place: Vector, direction: Vector, _: u32, tally: &mut Tally) {
         self.add(&self.frame.at(place, direction), -1.0, false, &mut tally.features);
     }
