@@ -370,16 +370,18 @@ impl<'a> Run<'a> {
     /// Standard errors from the scatter of the replicates, and what cut paths may still have found.
     fn errors(&self) -> Errors {
         let cut = self.replicates.iter().map(|r| r.cut_weight).sum::<f64>() / self.paths() as f64;
-        let error = |value: &dyn Fn(&Tally) -> f64| {
+        // What emits nothing has nothing left to find.
+        let cut_medium = if cut > 0.0 && !self.world.body.is_conservative() { cut } else { 0.0 };
+        let error = |cut: f64, value: &dyn Fn(&Tally) -> f64| {
             let n = f64::from(REPLICATES);
             let mean = self.replicates.iter().map(value).sum::<f64>() / n;
             let square = self.replicates.iter().map(|r| (value(r) - mean).powi(2)).sum::<f64>();
             (square / (n * (n - 1.0))).sqrt() / f64::from(self.points) + cut
         };
         Errors {
-            plate: error(&|r| r.scores[0]),
-            walls: error(&|r| r.scores[0] + r.scores[1]),
-            channels: (1..self.world.scores()).map(|c| error(&|r| r.scores[c])).collect(),
+            plate: error(cut, &|r| r.scores[0]),
+            walls: error(cut, &|r| r.scores[0] + r.scores[1]),
+            channels: (1..self.world.scores()).map(|c| error(cut_medium, &|r| r.scores[c])).collect(),
         }
     }
 
