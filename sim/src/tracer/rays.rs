@@ -1,32 +1,49 @@
 //! Single rays, unbiased and in f64: the judge of the image mode.
 //!
-//! Backward Monte Carlo with a deterministic straight sight, forced collisions, implicit capture, expected-value scores
-//! of emission and escape along every segment, and aimed rays at small plates (balance heuristic of E. Veach, 1997).
-//! Random numbers are scrambled Sobol points in 32 independent scrambles; standard errors come from their scatter, so
-//! that they hold whatever the correlations inside one. Results do not depend on the number of threads.
+//! Backward Monte Carlo (`path`) whose noise is reduced by a guess of the radiance inside the medium (`guess`), learned
+//! from paths of their own. Random numbers are scrambled Sobol points in 32 independent scrambles; standard errors come
+//! from their scatter, so that they hold whatever the correlations inside one. Results do not depend on the number of
+//! threads; those of a list of rays share the guess, so that a ray's noise depends on the others.
 
 use super::error::TracerError;
+use super::guess::{self, Family, Guess, Moments, Nothing, Tally};
+use super::path::{FirstSegment, Scratch, World};
 use super::plate::Plate;
-use super::shape::{Body, Piece};
+use super::shape::Body;
 use super::sobol::{self, Point};
-use super::vector::{Vector, along, turn, unit};
+use super::vector::{Vector, unit};
 use rayon::prelude::*;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 /// Independent scrambles; their scatter gives standard errors with 31 degrees of freedom (12 % uncertain).
 const REPLICATES: u32 = 32;
 
-/// Points per scramble in the first round; each further round doubles them.
+/// Points per scramble in the first round, each further round doubles them; and in lists so long (images) that the error
+/// of a single ray's standard error averages out.
 const FIRST_POINTS: u32 = 64;
+const FIRST_POINTS_OF_MANY: u32 = 4;
+const MANY_RAYS: usize = 1000;
 
-/// Roulette starts below this weight, which it restores.
-const ROULETTE_WEIGHT: f64 = 0.05;
+/// Collisions after which a path is cut and counted, as a part of the ray's limit, and bounds of it.
+const COLLISIONS_PART: u64 = 20;
+const PATH_COLLISIONS: [usize; 2] = [1000, 2_000_000];
 
-/// Collisions after which a path is cut and counted in [`RayAnswer::cut`].
-const COLLISIONS_MAX: usize = 200_000;
+/// Paths from which a guess is learned: as many tasks as its paths are shared by, and how many per function.
+const LEARNING_TASKS: u32 = 16;
+const PATHS_PER_FUNCTION: usize = 16;
+const LEARNING_PATHS: [usize; 2] = [2048, 8192];
 
-/// Coordinates per collision: distance, scattering angle, azimuth, two for aiming.
-const DIMENSIONS: usize = 5;
+/// Collisions after which a path from anywhere stops: every stretch of it says by itself how wrong a guess is.
+const LOCAL_COLLISIONS: usize = 16;
+
+/// Coordinates that choose directions from visited places.
+const STARTING_DIMENSIONS: usize = 3 << 29;
+
+/// Collisions after which a task of learning stops, as a part of a ray's limit.
+const LEARNING_COLLISIONS_PART: u64 = 80;
+
+/// Times the paths of learning that all rays together must still need before a guess is worth learning.
+const WORTH_LEARNING: f64 = 2.0;
 
 /// How rays are computed.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,8 +59,8 @@ pub struct RayOptions {
     pub collisions_max: u64,
 }
 
-/// Default of [`RayOptions::collisions_max`]: about 20 s of one core at 200 ns a collision.
-pub const COLLISIONS_PER_RAY_MAX: u64 = 100_000_000;
+/// Default of [`RayOptions::collisions_max`]: about 10 s of one core at 250 ns a collision.
+pub const COLLISIONS_PER_RAY_MAX: u64 = 40_000_000;
 
 impl Default for RayOptions {
     fn default() -> Self {
@@ -90,219 +107,307 @@ pub fn render_rays(
     if options.target_error.is_nan() || options.target_error <= 0.0 {
         return Err(TracerError::Geometry { what: "the target error", condition: "positive" });
     }
-    rays.par_iter()
-        .enumerate()
-        .map(|(number, &(origin, direction))| {
+    let worlds: Vec<World<'_>> = rays
+        .iter()
+        .map(|&(origin, direction)| {
             let direction = unit(direction)
                 .filter(|_| origin.iter().all(|c| c.is_finite()))
                 .ok_or(TracerError::Geometry { what: "a ray", condition: "a finite origin and direction" })?;
-            let world = World { body, plate, origin, direction, channels: body.channels };
-            Ok(world.ray(u32::try_from(number).unwrap_or(u32::MAX), options))
+            Ok(World { body, plate, origin, direction })
         })
-        .collect()
-}
-
-struct World<'a> {
-    body: &'a Body<'a>,
-    plate: Option<&'a Plate>,
-    origin: Vector,
-    direction: Vector,
-    channels: usize,
-}
-
-/// The straight sight: exact scores, and where the first collision may be.
-struct FirstSegment {
-    pieces: Vec<Piece>,
-    /// Running sum of what each piece scatters.
-    cumulative: Vec<f64>,
-}
-
-/// One scramble's sums: plate, then channels.
-#[derive(Clone)]
-struct Replicate {
-    sums: Vec<f64>,
-    collisions: u64,
-    cut: u64,
-}
-
-impl World<'_> {
-    fn ray(&self, number: u32, options: &RayOptions) -> RayAnswer {
-        let hit = self.plate.and_then(|p| p.hit(self.origin, self.direction));
-        let mut pieces = Vec::new();
-        self.body.pieces(self.origin, self.direction, hit.unwrap_or(f64::INFINITY), &mut pieces);
-        let mut direct = vec![0.0; 1 + self.channels];
-        let mut cumulative = Vec::new();
-        let through = self.collect(&pieces, 1.0, &mut direct, &mut cumulative);
-        if hit.is_some() {
-            direct[0] += through;
+        .collect::<Result<_, _>>()?;
+    let limits = Limits::new(rays.len(), options);
+    let mut states: Vec<State> = worlds
+        .par_iter()
+        .zip(numbers())
+        .map(|(world, number)| {
+            let first = world.first();
+            // Nothing to find: no plate, and a medium that does not emit.
+            if first.scatters() <= 0.0 || (plate.is_none() && body.is_conservative()) {
+                return State::Done(Run::new(world, &first, &limits).answer(&first));
+            }
+            let mut run = Run::new(world, &first, &limits);
+            for _ in 0..2 {
+                if !run.enough(options) {
+                    run.round(number, &Nothing, options);
+                }
+            }
+            if run.enough(options) {
+                State::Done(run.answer(&first))
+            } else {
+                State::Open(run.needs(options))
+            }
+        })
+        .collect();
+    let open: Vec<usize> = (0..states.len()).filter(|&i| matches!(states[i], State::Open(_))).collect();
+    let needed: f64 = states.iter().map(|s| if let State::Open(paths) = s { *paths } else { 0.0 }).sum();
+    let guess = guess::family(body)
+        .filter(|family| needed > WORTH_LEARNING * learning_paths(family.as_ref()) as f64)
+        .and_then(|family| learn(family.as_ref(), &worlds, &open, &limits, options.seed));
+    states.par_iter_mut().zip(&worlds).zip(numbers()).for_each(|((state, world), number)| {
+        if let State::Open(needed) = state {
+            *state = State::Done(finish(world, number, *needed, guess.as_deref(), (&limits, options)));
         }
-        let optical_depth = pieces.iter().map(|p| p.depth).sum();
-        let scattered = cumulative.last().copied().unwrap_or(0.0);
-        let first = FirstSegment { pieces, cumulative };
-        // Nothing to find: no plate, and a medium that does not emit.
-        let needless = scattered <= 0.0 || (self.plate.is_none() && self.body.is_conservative());
-        let mut replicates = vec![
-            Replicate { sums: vec![0.0; 1 + self.channels], collisions: 0, cut: 0 };
-            REPLICATES as usize
-        ];
-        let mut points = 0_u32;
-        let mut errors = (0.0, 0.0, vec![0.0; self.channels]);
-        if !needless {
-            loop {
-                let next = if points == 0 { FIRST_POINTS } else { points.saturating_mul(2) };
-                replicates.par_iter_mut().enumerate().for_each(|(r, replicate)| {
-                    let name = sobol::sequence(options.seed, number, u32::try_from(r).unwrap_or(0));
-                    for index in points..next {
-                        self.path(&first, Point::new(name, index), replicate);
-                    }
-                });
-                points = next;
-                errors = self.errors(&replicates, f64::from(points));
-                let worst = errors.0.max(errors.1).max(errors.2[0]);
-                if worst <= options.target_error
-                    || u64::from(points) * u64::from(REPLICATES) * 2 > options.paths_max
-                    || replicates.iter().map(|r| r.collisions).sum::<u64>() * 2 > options.collisions_max
-                {
+    });
+    Ok(states
+        .into_iter()
+        .map(|state| match state {
+            State::Done(answer) => answer,
+            State::Open(_) => unreachable!("every open ray has been finished"),
+        })
+        .collect())
+}
+
+/// A ray's answer, or about how many paths it would need.
+enum State {
+    Done(RayAnswer),
+    Open(f64),
+}
+
+/// Numbers of the rays, as their random numbers know them.
+fn numbers() -> impl IndexedParallelIterator<Item = u32> {
+    (0..u32::MAX).into_par_iter()
+}
+
+fn learning_paths(family: &dyn Family) -> usize {
+    (PATHS_PER_FUNCTION * family.len()).clamp(LEARNING_PATHS[0], LEARNING_PATHS[1])
+}
+
+/// Fits the family to the scores of paths of a few of the rays; none where they do not determine it.
+fn learn(
+    family: &dyn Family,
+    worlds: &[World<'_>],
+    open: &[usize],
+    limits: &Limits,
+    seed: u64,
+) -> Option<Box<dyn Guess>> {
+    let paths = u32::try_from(learning_paths(family)).ok()? / LEARNING_TASKS;
+    let tasks: Vec<Moments> = (0..LEARNING_TASKS)
+        .into_par_iter()
+        .map(|task| {
+            let world = &worlds[open[task as usize * open.len() / LEARNING_TASKS as usize]];
+            let first = world.first();
+            let mut moments = Moments::new(family.len(), world.scores());
+            let mut tally = Tally::new(world.scores(), family.len());
+            let mut scratch = Scratch::default();
+            // Names that no ray's own paths have.
+            let names = [0, 1, 2].map(|kind| sobol::sequence(!seed, u32::MAX - kind, task));
+            for index in 0..paths / 2 {
+                let point = Point::new(names[0], index);
+                tally.clear();
+                world.path(&first, point, family, limits.path, &mut scratch, &mut tally);
+                moments.add(&tally);
+                let (visited, cell) = tally.visited;
+                let mut null = |place: Vector, collisions: usize, name: u32| {
+                    let point = Point::new(name, index);
+                    let direction = anywhere(
+                        point.coordinate(STARTING_DIMENSIONS),
+                        point.coordinate(STARTING_DIMENSIONS + 1),
+                    );
+                    let inner = World { origin: place, direction, ..*world };
+                    let first = inner.first();
+                    tally.clear();
+                    tally.scores.copy_from_slice(&first.direct);
+                    inner.path(&first, point, family, collisions, &mut scratch, &mut tally);
+                    family.subtract(place, direction, cell, &mut tally);
+                    moments.add_null(&tally);
+                };
+                null(visited, limits.path, names[1]);
+                let u = Point::new(names[2], index).coordinate(STARTING_DIMENSIONS + 2);
+                if let Some(place) = family.anywhere(visited, u) {
+                    null(place, LOCAL_COLLISIONS, names[2]);
+                }
+                if tally.collisions > limits.learning {
                     break;
                 }
             }
-        }
-        let paths = u64::from(points) * u64::from(REPLICATES);
-        let mean = |k: usize| {
-            let sum: f64 = replicates.iter().map(|r| r.sums[k]).sum();
-            if points > 0 { sum / (f64::from(points) * f64::from(REPLICATES)) } else { 0.0 }
-        };
-        let plate = (direct[0] + mean(0)).clamp(0.0, 1.0);
-        let mut medium: Vec<f64> = (0..self.channels).map(|c| direct[1 + c] + mean(1 + c)).collect();
-        // Only a_medium is a share; other channels are in the unit of their source.
-        medium[0] = medium[0].min(1.0 - plate);
-        RayAnswer {
-            plate,
-            walls: 1.0 - plate - medium[0],
-            medium,
-            se_plate: errors.0,
-            se_walls: errors.1,
-            se_medium: errors.2,
-            optical_depth,
-            direct_transmittance: through,
-            paths,
-            cut: replicates.iter().map(|r| r.cut).sum(),
-        }
-    }
+            moments
+        })
+        .collect();
+    let mut all = Moments::new(family.len(), worlds[open[0]].scores());
+    tasks.into_iter().for_each(|task| all.merge(task));
+    let coefficients = guess::solve(&all)?;
+    Some(family.fitted(&coefficients, worlds[open[0]].scores()))
+}
 
-    /// Standard errors of plate, walls and channels from the scatter of the replicates.
-    fn errors(&self, replicates: &[Replicate], points: f64) -> (f64, f64, Vec<f64>) {
-        let error = |value: &dyn Fn(&Replicate) -> f64| {
-            let n = f64::from(REPLICATES);
-            let mean = replicates.iter().map(value).sum::<f64>() / n;
-            let square = replicates.iter().map(|r| (value(r) - mean).powi(2)).sum::<f64>();
-            (square / (n * (n - 1.0))).sqrt() / points
-        };
-        let channels = (0..self.channels).map(|c| error(&|r: &Replicate| r.sums[1 + c])).collect();
-        (error(&|r| r.sums[0]), error(&|r| r.sums[0] + r.sums[1]), channels)
-    }
+/// A direction, uniform over the sphere.
+fn anywhere(u: f64, v: f64) -> Vector {
+    let cosine = 2.0 * u - 1.0;
+    let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+    let (s, c) = (TAU * v).sin_cos();
+    [sine * c, sine * s, cosine]
+}
 
-    /// Adds the emission of all pieces times `weight`, and the running sum of what they scatter; returns the transmittance.
-    #[inline]
-    fn collect(&self, pieces: &[Piece], weight: f64, scores: &mut [f64], cumulative: &mut Vec<f64>) -> f64 {
-        cumulative.clear();
-        let (mut depth, mut scattered) = (0.0_f64, 0.0);
-        for piece in pieces {
-            let stopped = (-depth).exp() * -(-piece.depth).exp_m1();
-            for (c, score) in scores[1..].iter_mut().enumerate() {
-                *score += weight * stopped * self.body.emission_over_extinction(piece, c);
+/// Traces a ray until its target or a limit is reached, with the guess if it needs fewer paths than without.
+fn finish(
+    world: &World<'_>,
+    number: u32,
+    needed: f64,
+    guess: Option<&dyn Guess>,
+    (limits, options): (&Limits, &RayOptions),
+) -> RayAnswer {
+    let first = world.first();
+    let mut run = Run::new(world, &first, limits);
+    let mut used: &dyn Guess = &Nothing;
+    if let Some(guess) = guess {
+        // Few paths tell little about the rare ones that a guess leaves.
+        for _ in 0..3 {
+            if !run.exhausted(options) {
+                run.round(number, guess, options);
             }
-            scattered += stopped * piece.albedo;
-            cumulative.push(scattered);
-            depth += piece.depth;
         }
-        (-depth).exp()
-    }
-
-    /// A collision drawn from what the pieces scatter.
-    #[inline]
-    fn collide(&self, pieces: &[Piece], cumulative: &[f64], ray: (Vector, Vector), u: f64) -> Vector {
-        let last = cumulative.len() - 1;
-        let wanted = u * cumulative[last];
-        let i = cumulative.partition_point(|&c| c <= wanted).min(last);
-        let below = if i == 0 { 0.0 } else { cumulative[i - 1] };
-        let share = ((wanted - below) / (cumulative[i] - below)).clamp(0.0, 1.0 - f64::EPSILON);
-        let piece = &pieces[i];
-        let depth = -(share * (-piece.depth).exp_m1()).ln_1p();
-        along(ray.0, self.body.place(piece, depth, ray.0, ray.1), ray.1)
-    }
-
-    fn path(&self, first: &FirstSegment, point: Point, replicate: &mut Replicate) {
-        let mut place = self.collide(
-            &first.pieces,
-            &first.cumulative,
-            (self.origin, self.direction),
-            point.coordinate(0),
-        );
-        let mut weight = first.cumulative[first.cumulative.len() - 1];
-        let mut direction = self.direction;
-        let (mut pieces, mut cumulative) = (Vec::new(), Vec::new());
-        for collision in 0..COLLISIONS_MAX {
-            replicate.collisions += 1;
-            let dimension = DIMENSIONS * collision;
-            self.aim(place, direction, weight, point, dimension, &mut pieces, replicate);
-            let cosine = self.body.phase.sample(point.coordinate(dimension + 1));
-            let sine = ((1.0 - cosine) * (1.0 + cosine)).max(0.0).sqrt();
-            direction = turn(direction, cosine, sine, TAU * point.coordinate(dimension + 2));
-            let plate = self.plate.and_then(|p| p.hit(place, direction).map(|t| (p, t)));
-            self.body.pieces(place, direction, plate.map_or(f64::INFINITY, |p| p.1), &mut pieces);
-            let through = self.collect(&pieces, weight, &mut replicate.sums, &mut cumulative);
-            if let Some((plate, _)) = plate {
-                // Share of this technique in the balance heuristic, written so that infinite densities stay finite.
-                let aimed = if aims(plate) { plate.density(place, direction) } else { 0.0 };
-                let own = self.body.phase.value(cosine) / (4.0 * PI);
-                let share = if aimed > 0.0 { 1.0 / (1.0 + aimed / own) } else { 1.0 };
-                replicate.sums[0] += weight * through * share;
-            }
-            weight *= cumulative.last().copied().unwrap_or(0.0);
-            if weight < ROULETTE_WEIGHT {
-                let u = point.coordinate(dimension + DIMENSIONS + 1_000_003);
-                if u * ROULETTE_WEIGHT >= weight {
-                    return;
-                }
-                weight = ROULETTE_WEIGHT;
-            }
-            place = self.collide(
-                &pieces,
-                &cumulative,
-                (place, direction),
-                point.coordinate(dimension + DIMENSIONS),
-            );
+        if run.needs(options) < needed {
+            used = guess;
+        } else {
+            run = Run::new(world, &first, limits);
         }
-        replicate.cut += 1;
     }
+    while !run.enough(options) {
+        run.round(number, used, options);
+    }
+    run.answer(&first)
+}
 
-    /// Scores the plate along a direction drawn from its solid angle.
-    #[expect(clippy::too_many_arguments, reason = "the state of a path, named at its only call")]
-    fn aim(
-        &self,
-        place: Vector,
-        direction: Vector,
-        weight: f64,
-        point: Point,
-        dimension: usize,
-        pieces: &mut Vec<Piece>,
-        replicate: &mut Replicate,
-    ) {
-        let Some(plate) = self.plate.filter(|p| aims(p)) else { return };
-        let (u, v) = (point.coordinate(dimension + 3), point.coordinate(dimension + 4));
-        let Some((aimed, density)) = plate.sample(place, u, v) else { return };
-        let Some(distance) = plate.hit(place, aimed) else { return };
-        let own = self.body.phase.value(super::vector::dot(direction, aimed)) / (4.0 * PI);
-        if own > 0.0 {
-            self.body.pieces(place, aimed, distance, pieces);
-            let depth: f64 = pieces.iter().map(|p| p.depth).sum();
-            replicate.sums[0] += weight * (-depth).exp() / (1.0 + density / own);
+/// What follows from the options and the number of rays.
+struct Limits {
+    first_points: u32,
+    /// Collisions per path.
+    path: usize,
+    /// Collisions per task of learning.
+    learning: u64,
+}
+
+impl Limits {
+    fn new(rays: usize, options: &RayOptions) -> Self {
+        let path = usize::try_from(options.collisions_max / COLLISIONS_PART).unwrap_or(usize::MAX);
+        Self {
+            first_points: if rays > MANY_RAYS { FIRST_POINTS_OF_MANY } else { FIRST_POINTS },
+            path: path.clamp(PATH_COLLISIONS[0], PATH_COLLISIONS[1]),
+            learning: options.collisions_max / LEARNING_COLLISIONS_PART,
         }
     }
 }
 
-/// Whether aiming pays: not at a plate that fills the half space.
-fn aims(plate: &Plate) -> bool {
-    !plate.is_wide()
+/// Paths of one ray.
+struct Run<'a> {
+    world: &'a World<'a>,
+    first: &'a FirstSegment,
+    limits: &'a Limits,
+    replicates: Vec<Tally>,
+    /// Points per replicate so far.
+    points: u32,
+    errors: Errors,
+    /// The largest error that counts, one round before.
+    worst_before: f64,
+}
+
+/// Standard errors of plate, walls and channels.
+#[derive(Default)]
+struct Errors {
+    plate: f64,
+    walls: f64,
+    channels: Vec<f64>,
+}
+
+impl<'a> Run<'a> {
+    fn new(world: &'a World<'a>, first: &'a FirstSegment, limits: &'a Limits) -> Self {
+        let scores = world.scores();
+        let errors = Errors { channels: vec![0.0; scores - 1], ..Errors::default() };
+        let replicates = vec![Tally::new(scores, 0); REPLICATES as usize];
+        Self { world, first, limits, replicates, points: 0, errors, worst_before: f64::INFINITY }
+    }
+
+    /// Doubles the paths.
+    fn round(&mut self, number: u32, guess: &dyn Guess, options: &RayOptions) {
+        let (before, next) =
+            (self.points, if self.points == 0 { self.limits.first_points } else { self.points * 2 });
+        let (world, first, limits) = (self.world, self.first, self.limits);
+        // Scenes that differ have noise of their own: rows of a table of scenes are independent.
+        let own = sobol::hash_of(first.scatters());
+        self.replicates.par_iter_mut().zip(numbers()).for_each(|(tally, r)| {
+            let name = sobol::sequence(options.seed, number ^ own, r);
+            let mut scratch = Scratch::default();
+            for index in before..next {
+                world.path(first, Point::new(name, index), guess, limits.path, &mut scratch, tally);
+            }
+        });
+        self.points = next;
+        self.worst_before = if before == 0 { f64::INFINITY } else { self.worst() };
+        self.errors = self.errors();
+    }
+
+    /// Whether the target is reached twice in a row (a round without the rare paths that matter looks better than it
+    /// is), or another round would pass a limit.
+    fn enough(&self, options: &RayOptions) -> bool {
+        let target = options.target_error;
+        self.points > 0
+            && (self.worst() <= target && self.worst_before <= 2.0 * target || self.exhausted(options))
+    }
+
+    /// Whether another round would pass a limit.
+    fn exhausted(&self, options: &RayOptions) -> bool {
+        let collisions: u64 = self.replicates.iter().map(|r| r.collisions).sum();
+        self.points > 0
+            && (self.paths() * 2 > options.paths_max
+                || self.points > u32::MAX / 2
+                || collisions * 2 > options.collisions_max)
+    }
+
+    fn worst(&self) -> f64 {
+        self.errors.plate.max(self.errors.walls).max(self.errors.channels[0])
+    }
+
+    /// About how many paths the target needs.
+    fn needs(&self, options: &RayOptions) -> f64 {
+        let ratio = self.worst() / options.target_error;
+        self.paths() as f64 * ratio * ratio
+    }
+
+    fn paths(&self) -> u64 {
+        u64::from(self.points) * u64::from(REPLICATES)
+    }
+
+    /// Standard errors from the scatter of the replicates, and what cut paths may still have found.
+    fn errors(&self) -> Errors {
+        let cut = self.replicates.iter().map(|r| r.cut_weight).sum::<f64>() / self.paths() as f64;
+        // What emits nothing has nothing left to find.
+        let cut_medium = if cut > 0.0 && !self.world.body.is_conservative() { cut } else { 0.0 };
+        let error = |cut: f64, value: &dyn Fn(&Tally) -> f64| {
+            let n = f64::from(REPLICATES);
+            let mean = self.replicates.iter().map(value).sum::<f64>() / n;
+            let square = self.replicates.iter().map(|r| (value(r) - mean).powi(2)).sum::<f64>();
+            (square / (n * (n - 1.0))).sqrt() / f64::from(self.points) + cut
+        };
+        Errors {
+            plate: error(cut, &|r| r.scores[0]),
+            walls: error(cut, &|r| r.scores[0] + r.scores[1]),
+            channels: (1..self.world.scores()).map(|c| error(cut_medium, &|r| r.scores[c])).collect(),
+        }
+    }
+
+    fn answer(&self, first: &FirstSegment) -> RayAnswer {
+        let mean = |k: usize| {
+            let sum: f64 = self.replicates.iter().map(|r| r.scores[k]).sum();
+            if self.points > 0 { sum / self.paths() as f64 } else { 0.0 }
+        };
+        let plate = (first.direct[0] + mean(0)).clamp(0.0, 1.0);
+        // What a guess leaves of the noise may be negative.
+        let mut medium: Vec<f64> =
+            (1..self.world.scores()).map(|c| (first.direct[c] + mean(c)).max(0.0)).collect();
+        // Only a_medium is a share; other channels are in the unit of their source.
+        // A share below the rounding of 1 keeps its digits.
+        medium[0] = medium[0].min(1.0 - plate + 0.5 * f64::EPSILON).min(1.0);
+        RayAnswer {
+            plate,
+            walls: (1.0 - plate - medium[0]).max(0.0),
+            medium,
+            se_plate: self.errors.plate,
+            se_walls: self.errors.walls,
+            se_medium: self.errors.channels.clone(),
+            optical_depth: first.depth,
+            direct_transmittance: first.through,
+            paths: self.paths(),
+            cut: self.replicates.iter().map(|r| r.cut).sum(),
+        }
+    }
 }

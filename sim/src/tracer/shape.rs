@@ -2,21 +2,15 @@
 //!
 //! All in f64. A piece has one extinction profile (constant or Gaussian) and one material.
 
+use super::chord::{gaussian_depth, gaussian_place, span};
 use super::error::TracerError;
-use super::lattice::{Lattice, clip_box};
+use super::lattice::Lattice;
 use super::medium::GridMedium;
-use super::vector::{Vector, along, dot, sub, unit};
+use super::vector::{Vector, unit};
 use crate::light::phase::PhaseFunction;
-use std::f64::consts::{FRAC_PI_2, SQRT_2};
 
 /// What stands for an infinite optical depth of a slab: light of an albedo below 1 − 1e-15 does not come back from there.
 const DEPTH_OF_HALF_SPACE: f64 = 1e9;
-
-/// Widths from its centre beyond which a Gaussian holds less than 1e-300 of its peak.
-const GAUSSIAN_REACH: f64 = 40.0;
-
-/// Limit of the search for a place inside a Gaussian; bisection alone needs 64.
-const GAUSSIAN_STEPS_MAX: usize = 100;
 
 /// The form of a uniform or Gaussian medium; lengths in metres.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,14 +76,14 @@ pub struct ShapeMedium {
 /// A medium for single rays: an analytic shape, or one spectral group of a grid.
 #[derive(Debug, Clone)]
 pub struct Body<'a> {
-    kind: Kind<'a>,
+    pub(super) kind: Kind<'a>,
     pub(super) phase: &'a PhaseFunction,
     /// Channels: 1 for shapes.
     pub(super) channels: usize,
 }
 
 #[derive(Debug, Clone)]
-enum Kind<'a> {
+pub(super) enum Kind<'a> {
     Shape { shape: Shape, extinction: f64, albedo: f64 },
     Grid { lattice: Lattice, medium: &'a GridMedium, group: usize },
 }
@@ -112,7 +106,7 @@ impl<'a> Body<'a> {
     ///
     /// # Errors
     ///
-    /// [`TracerError`] for lengths that are not positive, a negative extinction, or an albedo outside [0, 1].
+    /// [`TracerError`] for lengths that are not positive, places that are not finite, a negative extinction, or an albedo outside [0, 1].
     pub fn shape(medium: &'a ShapeMedium) -> Result<Self, TracerError> {
         let positive = |what, value: f64| {
             if value > 0.0 && value.is_finite() {
@@ -121,24 +115,37 @@ impl<'a> Body<'a> {
                 Err(TracerError::Geometry { what, condition: "positive and finite" })
             }
         };
+        let finite = |what, places: &[Vector]| {
+            if places.iter().flatten().all(|c| c.is_finite()) {
+                Ok(())
+            } else {
+                Err(TracerError::Geometry { what, condition: "finite" })
+            }
+        };
         let mut shape = medium.shape.clone();
         let extinction = match &mut shape {
             Shape::Slab { thickness_m, optical_depth } => {
                 positive("the slab's thickness", *thickness_m)?;
-                optical_depth.min(DEPTH_OF_HALF_SPACE) / *thickness_m
+                // Not `min`, which would take what is not a number for an infinite depth.
+                let depth =
+                    if *optical_depth > DEPTH_OF_HALF_SPACE { DEPTH_OF_HALF_SPACE } else { *optical_depth };
+                depth / *thickness_m
             }
-            Shape::Sphere { radius_m, extinction, .. } => {
+            Shape::Sphere { centre_m, radius_m, extinction } => {
+                finite("the sphere's centre", &[*centre_m])?;
                 positive("the sphere's radius", *radius_m)?;
                 *extinction
             }
-            Shape::Cylinder { radius_m, extinction, axis, .. } => {
+            Shape::Cylinder { centre_m, radius_m, extinction, axis } => {
+                finite("the cylinder's centre", &[*centre_m])?;
                 positive("the cylinder's radius", *radius_m)?;
                 let condition = "a direction of finite length";
                 *axis =
                     unit(*axis).ok_or(TracerError::Geometry { what: "the cylinder's axis", condition })?;
                 *extinction
             }
-            Shape::Gaussian { width_m, extinction, .. } => {
+            Shape::Gaussian { centre_m, width_m, extinction } => {
+                finite("the gaussian's centre", &[*centre_m])?;
                 positive("the gaussian's width", *width_m)?;
                 *extinction
             }
@@ -254,106 +261,4 @@ impl<'a> Body<'a> {
         self.pieces(origin, direction, f64::INFINITY, &mut pieces);
         pieces.iter().map(|p| p.depth).sum()
     }
-}
-
-/// The part of a ray inside a shape, none where it misses or touches.
-fn span(shape: &Shape, origin: Vector, direction: Vector, far: f64) -> Option<(f64, f64)> {
-    match shape {
-        Shape::Slab { thickness_m, .. } => {
-            let half = 0.5 * thickness_m;
-            let inf = f64::INFINITY;
-            clip_box([-inf, -inf, -half], [inf, inf, half], origin, direction, far)
-        }
-        Shape::Cuboid { lower_m, upper_m, .. } => clip_box(*lower_m, *upper_m, origin, direction, far),
-        Shape::Sphere { centre_m, radius_m, .. } => ball(sub(origin, *centre_m), direction, *radius_m, far),
-        Shape::Cylinder { centre_m, axis, radius_m, .. } => {
-            let offset = sub(origin, *centre_m);
-            let across = along(direction, -dot(direction, *axis), *axis);
-            let offset = along(offset, -dot(offset, *axis), *axis);
-            let speed = dot(across, across).sqrt();
-            if speed < 1e-100 {
-                return (dot(offset, offset) < radius_m * radius_m && far > 0.0).then_some((0.0, far));
-            }
-            let (start, end) = ball(offset, across.map(|c| c / speed), *radius_m, far * speed)?;
-            Some((start / speed, end / speed))
-        }
-        Shape::Gaussian { centre_m, width_m, .. } => {
-            let closest = dot(sub(*centre_m, origin), direction);
-            let (start, end) =
-                ((closest - GAUSSIAN_REACH * width_m).max(0.0), closest + GAUSSIAN_REACH * width_m);
-            (start < end.min(far)).then_some((start, end.min(far)))
-        }
-    }
-}
-
-/// The part of a ray inside a ball around the origin of coordinates, from the point of closest approach so that far
-/// origins keep their digits.
-fn ball(offset: Vector, direction: Vector, radius: f64, far: f64) -> Option<(f64, f64)> {
-    let closest = -dot(offset, direction);
-    let nearest = along(offset, closest, direction);
-    let miss = dot(nearest, nearest).sqrt();
-    let square = (radius - miss) * (radius + miss);
-    if square <= 0.0 {
-        return None;
-    }
-    let half = square.sqrt();
-    let (start, end) = ((closest - half).max(0.0), (closest + half).min(far));
-    (start < end).then_some((start, end))
-}
-
-/// Where along a ray the Gaussian is closest, and its extinction there.
-fn gaussian_ray(centre: Vector, width: f64, extinction: f64, ray: (Vector, Vector)) -> (f64, f64) {
-    let closest = dot(sub(centre, ray.0), ray.1);
-    let nearest = sub(along(ray.0, closest, ray.1), centre);
-    (closest, extinction * (-0.5 * dot(nearest, nearest) / (width * width)).exp())
-}
-
-fn gaussian_depth(
-    centre: Vector,
-    width: f64,
-    extinction: f64,
-    ray: (Vector, Vector),
-    span: (f64, f64),
-) -> f64 {
-    let (closest, peak) = gaussian_ray(centre, width, extinction, ray);
-    let (a, b) = ((span.0 - closest) / (width * SQRT_2), (span.1 - closest) / (width * SQRT_2));
-    // On one side of the centre the difference of two erf cancels; that of two erfc does not.
-    let difference = if a > 0.0 {
-        libm::erfc(a) - libm::erfc(b)
-    } else if b < 0.0 {
-        libm::erfc(-b) - libm::erfc(-a)
-    } else {
-        libm::erf(b) - libm::erf(a)
-    };
-    peak * width * FRAC_PI_2.sqrt() * difference
-}
-
-/// Safeguarded Newton search for the place where the depth from the piece's start is `depth`.
-fn gaussian_place(
-    centre: Vector,
-    width: f64,
-    extinction: f64,
-    ray: (Vector, Vector),
-    piece: &Piece,
-    depth: f64,
-) -> f64 {
-    let (closest, peak) = gaussian_ray(centre, width, extinction, ray);
-    let (mut low, mut high) = (piece.start, piece.end);
-    let mut t = closest.clamp(low, high);
-    for _ in 0..GAUSSIAN_STEPS_MAX {
-        let excess = gaussian_depth(centre, width, extinction, ray, (piece.start, t)) - depth;
-        if excess > 0.0 {
-            high = t;
-        } else {
-            low = t;
-        }
-        let s = (t - closest) / width;
-        let newton = t - excess / (peak * (-0.5 * s * s).exp());
-        let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
-        if (next - t).abs() <= 1e-14 * width {
-            break;
-        }
-        t = next;
-    }
-    t
 }

@@ -231,6 +231,14 @@ pub(super) fn hash(value: u32) -> u32 {
     x ^ (x >> 16)
 }
 
+/// A hash of a number's bits.
+#[inline]
+pub(super) fn hash_of(value: f64) -> u32 {
+    #[expect(clippy::cast_possible_truncation, reason = "the two halves are mixed")]
+    let (low, high) = (value.to_bits() as u32, (value.to_bits() >> 32) as u32);
+    hash(low ^ hash(high))
+}
+
 /// The name of a sequence made from a seed and two counters.
 #[inline]
 pub(super) fn sequence(seed: u64, first: u32, second: u32) -> u32 {
