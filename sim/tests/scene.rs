@@ -63,7 +63,7 @@ fn shares(scene: &Scene) -> Vec<Share> {
         MediumSource::Spectral(grid, _) => {
             (0..grid.groups).map(|g| Body::grid(grid, g).expect("a sound scene")).collect()
         }
-        MediumSource::Cfd(_) => panic!("the spray is imported"),
+        MediumSource::Cfd(_) | MediumSource::Parametric(_) => panic!("the spray is made"),
     };
     let options = RayOptions {
         target_error: 3e-3,

@@ -104,7 +104,7 @@ fn trace(
         Some(MediumSource::Shape(shape, _)) => vec![Body::shape(shape)],
         Some(MediumSource::Grid(grid, _)) => vec![Body::grid(grid, 0)],
         Some(MediumSource::Spectral(grid, _)) => (0..grid.groups).map(|g| Body::grid(grid, g)).collect(),
-        Some(MediumSource::Cfd(_)) | None => vec![Body::grid(&empty, 0)],
+        Some(MediumSource::Cfd(_) | MediumSource::Parametric(_)) | None => vec![Body::grid(&empty, 0)],
     };
     let mut shares = vec![Vec::new(); rays.len()];
     let mut paths = 0;

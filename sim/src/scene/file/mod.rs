@@ -7,15 +7,18 @@ mod camera;
 mod cfd;
 mod media;
 pub mod npy;
+mod parametric;
 mod phase;
 mod tables;
 mod window;
 
 pub use band::{BandSource, Samples};
 pub use media::{CfdSource, MediumSource};
+pub use parametric::ParametricSource;
 pub use window::{WindowSource, Windows};
 
 use crate::scene::optics::OpticsReport;
+use crate::scene::spray::SprayShots;
 use crate::tracer::camera::Camera;
 use crate::tracer::plate::{Plate, PlateShape};
 use std::path::{Path, PathBuf};
@@ -90,6 +93,8 @@ pub struct Scene {
     pub notes: Vec<String>,
     /// How the coefficients of a spray were made; none for other media.
     pub optics: Option<OpticsReport>,
+    /// How shots of a parametric spray differ, per occupied cell of the medium in its order; none for other media.
+    pub shots: Option<SprayShots>,
 }
 
 /// The plate and its light.
@@ -112,7 +117,7 @@ pub struct WallSource {
     pub emissivity: f64,
 }
 
-/// Reads a scene file and the arrays it names. CFD sprays are named only: [`Scene::with_spray`] imports them.
+/// Reads a scene file and the arrays it names. Sprays are described only: [`Scene::with_spray`] makes them.
 ///
 /// # Errors
 ///
@@ -161,7 +166,7 @@ impl Reader<'_> {
             .collect::<Result<Vec<_>, _>>()?;
         let medium = self.superpose(media)?;
         let mut scene =
-            Scene { camera, plate, walls, band, medium, windows: Windows::default(), notes, optics: None };
+            Scene { camera, plate, walls, band, medium, windows: Windows::default(), notes, optics: None, shots: None };
         scene.windows = self.windows(&tables.window, tables.lab.as_ref(), &scene)?;
         Ok(scene)
     }

@@ -1,6 +1,7 @@
 //! The tables of a scene file as TOML has them, unchecked.
 
 use super::media::CfdSource;
+use crate::scene::spray::description::{HollowCone, MultiHole, SpraySource};
 use serde::Deserialize;
 use std::path::PathBuf;
 
@@ -152,6 +153,8 @@ pub(super) enum MediumTable {
     Gaussian(GaussianTable),
     Box(BoxTable),
     Cfd(CfdSource),
+    MultiHole(SpraySource<MultiHole>),
+    HollowCone(SpraySource<HollowCone>),
 }
 
 #[derive(Deserialize)]

@@ -256,6 +256,14 @@ pub(super) struct Feed {
 }
 
 impl Injector {
+    /// The kind of medium that has such an injector.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::MultiHole(_) => "multi-hole",
+            Self::HollowCone(_) => "hollow-cone",
+        }
+    }
+
     pub(super) fn feed(&self) -> Feed {
         let (discharge_coefficient, velocity_coefficient, rail_pressure_pa, fuel_temperature_k, duration_s) =
             match *self {
