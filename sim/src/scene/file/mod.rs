@@ -104,6 +104,8 @@ pub struct PlateSource {
     pub shape: PlateShape,
     /// Temperature in K, if given.
     pub temperature_k: Option<f64>,
+    /// Temperatures in K of which images are wanted besides; without `temperature_k` the first one stands for it.
+    pub temperatures_k: Vec<f64>,
     /// Emissivity in (0, 1]; the rest mirrors the walls.
     pub emissivity: f64,
 }
@@ -203,7 +205,16 @@ impl Reader<'_> {
         if !(table.emissivity > 0.0 && table.emissivity <= 1.0) {
             return Err(self.wrong("[plate] emissivity must be above 0 and at most 1"));
         }
-        Ok(PlateSource { shape, temperature_k: table.temperature_k, emissivity: table.emissivity })
+        for &t in &table.temperatures_k {
+            if !(t >= 0.0 && t.is_finite()) {
+                return Err(self.wrong(format!(
+                    "[plate] temperatures_k holds {t}; each must be finite and not negative"
+                )));
+            }
+        }
+        let temperatures_k = table.temperatures_k.clone();
+        let temperature_k = table.temperature_k.or(temperatures_k.first().copied());
+        Ok(PlateSource { shape, temperature_k, temperatures_k, emissivity: table.emissivity })
     }
 
     fn walls(&self, table: &WallTable) -> Result<WallSource, SceneError> {

@@ -62,6 +62,9 @@ pub(super) struct PlateTable {
     pub(super) diameter_m: Option<f64>,
     pub(super) half_angle_deg: Option<f64>,
     pub(super) temperature_k: Option<f64>,
+    /// Temperatures of which images are wanted.
+    #[serde(default)]
+    pub(super) temperatures_k: Vec<f64>,
     #[serde(default = "one")]
     pub(super) emissivity: f64,
 }
