@@ -217,7 +217,8 @@ pub struct Droplets {
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ShotLaw {
-    /// Standard deviation of the turbulent factor on the density.
+    /// Standard deviation of the turbulent factor on the density, in the middle of a plume; up to four times that at
+    /// its edge.
     pub turbulence: f64,
     /// Integral scale of the turbulence over the distance from the tip.
     pub integral_scale: f64,

@@ -27,8 +27,6 @@ pub(super) struct Around {
 pub(super) struct Rates {
     /// Mass that it loses, kg/s.
     pub(super) mass_kg_s: f64,
-    /// Heat that reaches it, J/s, what evaporates included.
-    pub(super) heat_w: f64,
     /// Change of its temperature, K/s.
     pub(super) warming_k_s: f64,
 }
@@ -79,7 +77,7 @@ pub(super) fn rates(properties: &Properties, diameter_m: f64, temperature_k: f64
     let liquid = properties.at(temperature_k);
     let mass_kg = super::sizes::sphere_kg(diameter_m, liquid.liquid_kg_m3);
     let warming_k_s = (heat_w - mass_kg_s * liquid.latent_j_kg()) / (mass_kg * liquid.liquid_j_kg_k);
-    Rates { mass_kg_s, heat_w, warming_k_s }
+    Rates { mass_kg_s, warming_k_s }
 }
 
 #[cfg(test)]
@@ -137,7 +135,7 @@ mod tests {
         assert!((b / a - 2.0).abs() < 1e-12);
         // Wind helps both, saturated gas stops one.
         let windy = rates(&properties, 10e-6, 370.0, &Around { slip_m_s: 20.0, ..calm });
-        assert!(windy.mass_kg_s > 1.2 * b && windy.heat_w > 0.0);
+        assert!(windy.mass_kg_s > 1.2 * b);
         let moist = Around { vapour: surface(&properties, 370.0), ..calm };
         let still = rates(&properties, 10e-6, 370.0, &moist);
         assert!(still.mass_kg_s.abs() < 1e-18 && still.warming_k_s > 0.0);

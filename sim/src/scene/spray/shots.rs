@@ -3,7 +3,8 @@
 //! Three causes, independent, each with mean 1 in every cell: the mass of each plume (log-normal), the direction of each
 //! plume (to first order in the tilt δ of a Gaussian plume of the same half width, exp(δ·g − σ²|g|²/2) with
 //! g = −∂ln ρ/∂δ), and turbulence (log-normal; eddies grow with the distance r from the tip: the field is isotropic in
-//! (ln r, direction), correlation exp(−Δ²/2λ²) with λ = integral scale/r/√(π/2)). In the end each plume's mass is put
+//! (ln r, direction), correlation exp(−Δ²/2λ²) with λ = integral scale/r/√(π/2); relative fluctuations grow from the
+//! axis to the edge as the mean's root falls, Becker, Hottel and Williams 1967, J. Fluid Mech. 30, 285). In the end each plume's mass is put
 //! right, so that tilt and turbulence move fuel but make none; that changes a cell's mean by less than a hundredth.
 //!
 //! Random numbers are counter-based and keyed by (seed, shot): the same bits for any number of threads.
@@ -18,6 +19,8 @@ use std::f64::consts::{FRAC_PI_2, PI};
 const MODES: usize = 96;
 /// Distance from the tip in m below which eddies do not get smaller.
 const CORE_M: f64 = 1e-3;
+/// Largest fluctuation at the edge over that on the axis.
+const STIRRED_MAX: f64 = 4.0;
 /// −dln f/dη over η of the Gaussian that has Abramovich's half width, 0.441 of the full one: 2 ln 2 / 0.441².
 const GAUSSIAN: f64 = 7.13;
 
@@ -29,6 +32,8 @@ struct Part {
     fuel_kg: f64,
     /// Change of ln ρ with the tilt in two directions, per rad.
     slope: [f64; 2],
+    /// Fluctuations here over those on the axis.
+    stirred: f64,
 }
 
 /// The law by which the shots of a spray differ, on the occupied cells of its grid.
@@ -69,8 +74,9 @@ impl SprayShots {
                 while cells[ordinal] < cell {
                     ordinal += 1;
                 }
-                let slope = slope(spreading, jet as usize, centre(cell));
-                lists[ordinal].push(Part { jet, fuel_kg, slope });
+                let (slope, eta) = slope(spreading, jet as usize, centre(cell));
+                let stirred = (0.25 * GAUSSIAN * eta * eta).exp().min(STIRRED_MAX);
+                lists[ordinal].push(Part { jet, fuel_kg, slope, stirred });
             }
         }
         let mut start = vec![0];
@@ -92,7 +98,7 @@ impl SprayShots {
         let draws: Vec<[f64; 3]> = (0..self.jets as u64)
             .map(|jet| std::array::from_fn(|i| stream.gaussian(3 * jet + i as u64)))
             .collect();
-        let turbulence = self.turbulence(shot, deviation(self.law.turbulence));
+        let turbulence = self.turbulence(shot);
         // Per part tilt × turbulence, then each plume's mass is put right.
         let cells = 0..self.places.len();
         let raw: Vec<f64> = cells
@@ -103,8 +109,9 @@ impl SprayShots {
                 let draws = &draws;
                 self.parts[self.start[cell]..self.start[cell + 1]].iter().map(move |part| {
                     let [_, x, y] = draws[part.jet as usize];
+                    let sigma = deviation(self.law.turbulence * part.stirred);
                     let [gx, gy] = part.slope.map(|g| g * sigma_tilt);
-                    (x * gx + y * gy - 0.5 * (gx * gx + gy * gy)).exp() * eddy
+                    (x * gx + y * gy - 0.5 * (gx * gx + gy * gy) + sigma * eddy - 0.5 * sigma * sigma).exp()
                 })
             })
             .collect();
@@ -136,10 +143,10 @@ impl SprayShots {
             .collect()
     }
 
-    /// Log-normal factors of mean 1 per occupied cell.
-    fn turbulence(&self, shot: u64, sigma: f64) -> Vec<f64> {
-        if sigma <= 0.0 {
-            return vec![1.0; self.places.len()];
+    /// Standard normal numbers, smooth in space, per occupied cell.
+    fn turbulence(&self, shot: u64) -> Vec<f64> {
+        if self.law.turbulence <= 0.0 {
+            return vec![0.0; self.places.len()];
         }
         let stream = Stream::new(self.seed, Purpose::Turbulence, shot);
         // Wave vector, amplitude and phase of each mode: Rayleigh amplitudes and even phases are pairs of normal
@@ -154,28 +161,27 @@ impl SprayShots {
         self.places
             .par_iter()
             .map(|place| {
-                let sum: f64 = modes
+                modes
                     .iter()
                     .map(|(wave, amplitude, phase)| {
                         let angle: f64 = wave.iter().zip(place).map(|(k, y)| k * y).sum();
                         amplitude * libm::cos(angle + phase)
                     })
-                    .sum();
-                (sigma * sum - 0.5 * sigma * sigma).exp()
+                    .sum()
             })
             .collect()
     }
 }
 
-/// −∂ln ρ/∂δ of a plume at a place: how much denser it gets there by a tilt of the plume, per rad.
-fn slope(spreading: &Spreading<'_>, jet: usize, at: [f64; 3]) -> [f64; 2] {
+/// −∂ln ρ/∂δ of a plume at a place, how much denser it gets there by a tilt of the plume, per rad; and η there.
+fn slope(spreading: &Spreading<'_>, jet: usize, at: [f64; 3]) -> ([f64; 2], f64) {
     let (s, aside, towards) = spreading.place.seen(jet, at);
     let half = spreading.jet.start.opening.half_m(s.max(0.0));
     let eta = (aside / half).clamp(-1.0, 1.0);
     let slope = GAUSSIAN * eta * s.max(0.0) / half;
     match spreading.place {
-        Place::Holes(_) => [slope * towards[0], slope * towards[1]],
+        Place::Holes(_) => ([slope * towards[0], slope * towards[1]], eta),
         // A sheet can only open or close.
-        Place::Cone { .. } => [slope, 0.0],
+        Place::Cone { .. } => ([slope, 0.0], eta),
     }
 }
