@@ -377,7 +377,8 @@ fn write_pngs(path: &Path, camera: &Camera, scene: &Scene, pictures: &[Picture])
     let per = if matches!(scene.band, Some(BandSource::Wavelength(_))) { " um" } else { "" };
     let unit = format!("1e{power:.0} ph/(s m2 sr{per})");
     for (picture, values) in pictures.iter().zip(scaled.chunks(camera.rows * camera.columns)) {
-        let title = picture.name.map_or("radiance".to_owned(), |kelvin| format!("radiance, plate {kelvin} K"));
+        let title =
+            picture.name.map_or("radiance".to_owned(), |kelvin| format!("radiance, plate {kelvin} K"));
         let out = match picture.name {
             Some(kelvin) if pictures.len() > 1 => {
                 let stem = path.file_stem().unwrap_or_default().to_string_lossy();

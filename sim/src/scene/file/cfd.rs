@@ -30,7 +30,14 @@ impl Scene {
         let made = match &self.medium {
             Some(MediumSource::Cfd(source)) => {
                 let (fuel, field, notes) = imported(source)?;
-                Made { scene: &source.scene, kind: "cfd", fuel, field, notes, truncate_deg: source.truncate_deg }
+                Made {
+                    scene: &source.scene,
+                    kind: "cfd",
+                    fuel,
+                    field,
+                    notes,
+                    truncate_deg: source.truncate_deg,
+                }
             }
             Some(MediumSource::Parametric(source)) => {
                 let (fuel, spray) = source.made()?;

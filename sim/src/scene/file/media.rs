@@ -85,8 +85,8 @@ impl Reader<'_> {
                 source.scene = self.path.to_owned();
                 return Ok(MediumSource::Cfd(source));
             }
-            MediumTable::MultiHole(t) => return Ok(self.parametric(t.with_injector(Injector::MultiHole))),
-            MediumTable::HollowCone(t) => return Ok(self.parametric(t.with_injector(Injector::HollowCone))),
+            MediumTable::MultiHole(t) => return self.parametric(t.with_injector(Injector::MultiHole)),
+            MediumTable::HollowCone(t) => return self.parametric(t.with_injector(Injector::HollowCone)),
             MediumTable::Slab(t) => {
                 if t.optical_depth.is_nan() || t.optical_depth < 0.0 {
                     return Err(self.wrong("[medium] optical_depth must not be negative"));
@@ -125,8 +125,9 @@ impl Reader<'_> {
         Ok(MediumSource::Shape(medium, temperature_k))
     }
 
-    fn parametric(&self, spray: SpraySource<Injector>) -> MediumSource {
-        MediumSource::Parametric(Box::new(ParametricSource { spray, scene: self.path.to_owned() }))
+    fn parametric(&self, spray: SpraySource<Injector>) -> Result<MediumSource, SceneError> {
+        spray.check().map_err(|problem| self.wrong(problem))?;
+        Ok(MediumSource::Parametric(Box::new(ParametricSource { spray, scene: self.path.to_owned() })))
     }
 
     fn array(&self, file: &Path) -> Result<npy::Array, SceneError> {

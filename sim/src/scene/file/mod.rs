@@ -17,6 +17,7 @@ pub use media::{CfdSource, MediumSource};
 pub use parametric::ParametricSource;
 pub use window::{WindowSource, Windows};
 
+use crate::light::names;
 use crate::scene::optics::OpticsReport;
 use crate::scene::spray::SprayShots;
 use crate::tracer::camera::Camera;
@@ -39,7 +40,7 @@ pub enum SceneError {
         source: std::io::Error,
     },
     /// The text is not a scene; the message shows line and place.
-    #[error("scene {path}: {source}")]
+    #[error("scene {path}: {source}{}", meant(&source.to_string()))]
     Parse {
         /// The file.
         path: PathBuf,
@@ -167,8 +168,17 @@ impl Reader<'_> {
             .map(|m| self.medium(m, band.as_ref(), &mut notes))
             .collect::<Result<Vec<_>, _>>()?;
         let medium = self.superpose(media)?;
-        let mut scene =
-            Scene { camera, plate, walls, band, medium, windows: Windows::default(), notes, optics: None, shots: None };
+        let mut scene = Scene {
+            camera,
+            plate,
+            walls,
+            band,
+            medium,
+            windows: Windows::default(),
+            notes,
+            optics: None,
+            shots: None,
+        };
         scene.windows = self.windows(&tables.window, tables.lab.as_ref(), &scene)?;
         Ok(scene)
     }
@@ -233,6 +243,19 @@ impl Reader<'_> {
             _ => Ok(()),
         }
     }
+}
+
+/// For a message about an unknown key or kind: which known one it may have meant.
+fn meant(message: &str) -> String {
+    let Some((_, rest)) =
+        message.split_once("unknown field `").or_else(|| message.split_once("unknown variant `"))
+    else {
+        return String::new();
+    };
+    // `wrong`, expected one of `a`, `b`: every second piece is a name.
+    let names: Vec<&str> = rest.split('`').step_by(2).map(str::trim).collect();
+    let known: Vec<&str> = rest.split('`').skip(2).step_by(2).collect();
+    names.first().map_or(String::new(), |wrong| names::guessed(wrong, &known))
 }
 
 /// Line, counted from 1, of the key that a problem of table `nth` names, else of that table's head.

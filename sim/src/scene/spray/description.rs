@@ -305,7 +305,7 @@ impl SpraySource<Injector> {
     /// # Errors
     ///
     /// In words: table, key, value, and what is allowed.
-    pub(super) fn check(&self) -> Result<(), String> {
+    pub fn check(&self) -> Result<(), String> {
         let mut bounds = vec![
             Bound { table: "medium", key: "time_s", value: self.time_s, range: [1e-6, 0.02], unit: "s" },
             Bound {
@@ -349,7 +349,9 @@ impl SpraySource<Injector> {
         self.injector_bounds(&mut bounds);
         for Bound { table, key, value, range: [from, to], unit } in bounds {
             if !(from..=to).contains(&value) {
-                return Err(format!("[{table}] {key} is {value}; it must be {from} to {to} {unit}").trim_end().to_owned());
+                return Err(format!("[{table}] {key} is {value}; it must be {from} to {to} {unit}")
+                    .trim_end()
+                    .to_owned());
             }
         }
         self.check_together()
@@ -385,7 +387,9 @@ impl SpraySource<Injector> {
             return Err("[medium] tip_m and axis must be finite numbers".to_owned());
         }
         if self.axis.iter().map(|x| x * x).sum::<f64>().sqrt() < 1e-9 {
-            return Err("[medium] axis must not be [0, 0, 0]; give the direction the injector points to".to_owned());
+            return Err(
+                "[medium] axis must not be [0, 0, 0]; give the direction the injector points to".to_owned()
+            );
         }
         if feed.rail_pressure_pa < 2.0 * self.gas.pressure_pa {
             return Err(format!(

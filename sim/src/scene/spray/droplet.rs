@@ -72,8 +72,7 @@ pub(super) fn rates(properties: &Properties, diameter_m: f64, temperature_k: f64
     }
     // ln(1 + B_T)/B_T, which is 1 without evaporation.
     let shield = if heating < 1e-9 { 1.0 } else { heating / heating.min(500.0).exp_m1() };
-    let heat_w =
-        PI * diameter_m * conductivity * nusselt * shield * (around.temperature_k - temperature_k);
+    let heat_w = PI * diameter_m * conductivity * nusselt * shield * (around.temperature_k - temperature_k);
     let liquid = properties.at(temperature_k);
     let mass_kg = super::sizes::sphere_kg(diameter_m, liquid.liquid_kg_m3);
     let warming_k_s = (heat_w - mass_kg_s * liquid.latent_j_kg()) / (mass_kg * liquid.liquid_j_kg_k);

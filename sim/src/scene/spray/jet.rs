@@ -272,8 +272,11 @@ impl Jet {
             self.sections.push(empty);
         }
         // What leaves each section; the last one keeps its trace.
-        let mut moved: Vec<f64> =
-            self.sections.iter().map(|s| s.fuel_kg * (self.speed(s) * step_s / self.step_m).min(1.0)).collect();
+        let mut moved: Vec<f64> = self
+            .sections
+            .iter()
+            .map(|s| s.fuel_kg * (self.speed(s) * step_s / self.step_m).min(1.0))
+            .collect();
         moved.pop();
         moved.push(0.0);
         for i in (0..self.sections.len()).rev() {
@@ -415,13 +418,14 @@ impl Jet {
         let spare_j = (capacity * (tube.gas_k - mean_k)).abs();
         let evaporating = relaxed_by(demand_kg, room_kg);
         // Heat out of the droplets needs no gas: cooling by evaporation alone is bounded by the saturation.
-        let heating = if demand_j * (tube.gas_k - mean_k) > 0.0 { relaxed_by(demand_j.abs(), spare_j) } else { 1.0 };
+        let heating =
+            if demand_j * (tube.gas_k - mean_k) > 0.0 { relaxed_by(demand_j.abs(), spare_j) } else { 1.0 };
         let part = evaporating.min(heating);
         for (drops, wanted) in tube.drops.iter_mut().zip(wanted) {
             let Some((lost, warming)) = wanted else { continue };
             drops.left -= part * lost;
-            drops.temperature_k =
-                (drops.temperature_k + part * warming).clamp(220.0, properties.boiling_k.max(self.start.fuel_k));
+            drops.temperature_k = (drops.temperature_k + part * warming)
+                .clamp(220.0, properties.boiling_k.max(self.start.fuel_k));
             if drops.left < GONE {
                 drops.left = 0.0;
             }

@@ -7,7 +7,27 @@
 //!
 //! # How good it is
 //!
-//! NUMBERS
+//! Eight holes, n-heptane of 383 K at 200 bar into 4 bar and 523 K, discharge 0.4, 1 ms, D₃₂ 12 µm at the nozzle, beside
+//! a CFD run of the same case (k-ε, 1 mm cells; itself not validated, its tips lag measured sprays by a third):
+//!
+//! | | 0.3 ms | 0.5 ms | 0.9 ms | 1.2 ms |
+//! |---|---|---|---|---|
+//! | evaporated, % (CFD) | 39 (45) | 50 (59) | 64 (72) | 79 (86) |
+//! | tips of liquid/all along the axis, mm | 23/23 | 30/31 | 41/42 | 48/49 |
+//! | (CFD) | (17/18) | (21/23) | (31/39) | (42/51) |
+//! | D₃₂ now, µm (CFD) | 12.1 (14.3) | 12.0 (13.6) | 12.0 (13.0) | 11.8 (11.5) |
+//! | liquid, K (CFD) | 367 (381) | 366 (380) | 365 (378) | 362 (373) |
+//! | gas with vapour, K | 463 | 464 | 466 | 469 (CFD 430 to 470) |
+//! | largest optical depth at 3.4 µm, droplets (CFD) | 17 (12) | 17 (15) | 17 (12) | 3.1 (6.3) |
+//! | the same, vapour (CFD) | 3.7 (3.7) | 4.6 (5.4) | 5.6 (5.5) | 6.1 (4.9) |
+//!
+//! Spray G (the defaults): 10.4 mg in 0.78 ms (10 mg published); at 0.5 ms the liquid is 27 to 28 mm from the tip along
+//! the axis (about 30 mm published); along a plume 36 mm, where Naber and Siebers have 38 and Hiroyasu and Arai 41 mm.
+//! Elkotb's D₃₂ is 6.1 µm, phase Doppler 15 mm below the tip says 7 to 12 µm: with a measured one, give
+//! `sauter_mean_m`.
+//!
+//! Beyond the model: plumes that collapse onto each other (flash boiling, close holes), the start and end of the
+//! needle's lift, walls.
 //!
 //! Knows nothing of wavelengths, cameras or files.
 
@@ -191,7 +211,8 @@ pub fn scaled(mut field: SprayField, factors: &[f32]) -> SprayField {
     assert_eq!(factors.len(), field.cells.len(), "one factor per occupied cell");
     for (cell, &factor) in factors.iter().enumerate() {
         field.gas[cell].vapour_mol_m3 *= f64::from(factor);
-        for density in &mut field.deposit_per_m3[field.deposit_start[cell] as usize..field.deposit_start[cell + 1] as usize]
+        for density in &mut field.deposit_per_m3
+            [field.deposit_start[cell] as usize..field.deposit_start[cell + 1] as usize]
         {
             *density *= factor;
         }
@@ -218,7 +239,9 @@ fn thermal(source: &SpraySource<Injector>, fuel: &Fuel) -> Result<&'static FuelP
 
 fn check_temperature(thermal: &FuelProperties, fuel_k: f64) -> Result<(), String> {
     for property in [Property::LiquidDensity, Property::VapourPressure, Property::LiquidViscosity] {
-        thermal.at(property, fuel_k).map_err(|e| format!("[medium.injector] fuel_temperature_k: {}: {e}", thermal.name()))?;
+        thermal
+            .at(property, fuel_k)
+            .map_err(|e| format!("[medium.injector] fuel_temperature_k: {}: {e}", thermal.name()))?;
     }
     Ok(())
 }

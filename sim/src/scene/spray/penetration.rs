@@ -30,10 +30,8 @@ pub struct Hole {
 pub fn naber_siebers_m(hole: &Hole, time_s: f64) -> f64 {
     let velocity = hole.velocity_coefficient * (2.0 * hole.drop_pa / hole.liquid_kg_m3).sqrt();
     let width = 0.66 * (0.5 * hole.plume_angle_rad).tan();
-    let length_m = hole.area_coefficient.sqrt()
-        * hole.diameter_m
-        * (hole.liquid_kg_m3 / hole.gas_kg_m3).sqrt()
-        / width;
+    let length_m =
+        hole.area_coefficient.sqrt() * hole.diameter_m * (hole.liquid_kg_m3 / hole.gas_kg_m3).sqrt() / width;
     let time = time_s * velocity / length_m;
     if time <= 0.0 {
         return 0.0;

@@ -161,7 +161,10 @@ mod tests {
         for t in [290.0, 350.4, 420.0, 470.0] {
             let at = table.at(t);
             let near = |own: f64, property, tolerance: f64| {
-                assert!((own / fuel.at(property, t).unwrap() - 1.0).abs() < tolerance, "{property:?} {t}: {own}");
+                assert!(
+                    (own / fuel.at(property, t).unwrap() - 1.0).abs() < tolerance,
+                    "{property:?} {t}: {own}"
+                );
             };
             near(at.saturation_pa, Property::VapourPressure, 5e-4);
             near(at.liquid_kg_m3, Property::LiquidDensity, 1e-5);

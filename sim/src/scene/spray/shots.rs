@@ -5,7 +5,8 @@
 //! g = −∂ln ρ/∂δ), and turbulence (log-normal; eddies grow with the distance r from the tip: the field is isotropic in
 //! (ln r, direction), correlation exp(−Δ²/2λ²) with λ = integral scale/r/√(π/2); relative fluctuations grow from the
 //! axis to the edge as the mean's root falls, Becker, Hottel and Williams 1967, J. Fluid Mech. 30, 285). In the end each plume's mass is put
-//! right, so that tilt and turbulence move fuel but make none; that changes a cell's mean by less than a hundredth.
+//! right, so that tilt and turbulence move fuel but make none; with many eddies to a plume that changes a cell's mean by
+//! less than a hundredth, with eddies of a plume's size it takes away the part of the fluctuation that a plume shares.
 //!
 //! Random numbers are counter-based and keyed by (seed, shot): the same bits for any number of threads.
 
@@ -50,7 +51,13 @@ pub struct SprayShots {
 }
 
 impl SprayShots {
-    pub(super) fn new(spreading: &Spreading<'_>, cells: &[u32], tip_m: [f64; 3], law: ShotLaw, seed: u64) -> Self {
+    pub(super) fn new(
+        spreading: &Spreading<'_>,
+        cells: &[u32],
+        tip_m: [f64; 3],
+        law: ShotLaw,
+        seed: u64,
+    ) -> Self {
         let grid = &spreading.grid;
         let size = grid.cell_m();
         let centre = |cell: u32| -> [f64; 3] {
@@ -143,8 +150,32 @@ impl SprayShots {
             .collect()
     }
 
+    /// Fuel of a cell in kg.
+    #[cfg(test)]
+    pub(super) fn fuel_kg(&self, cell: usize) -> f64 {
+        self.parts[self.start[cell]..self.start[cell + 1]].iter().map(|part| part.fuel_kg).sum()
+    }
+
+    /// Cells of one plume only that are within η of its middle.
+    #[cfg(test)]
+    pub(super) fn middle(&self, eta: f64) -> Vec<usize> {
+        let limit = (0.25 * GAUSSIAN * eta * eta).exp();
+        (0..self.places.len())
+            .filter(|&cell| {
+                let parts = &self.parts[self.start[cell]..self.start[cell + 1]];
+                parts.len() == 1 && parts[0].stirred < limit
+            })
+            .collect()
+    }
+
+    /// Place of a cell: (ln r, direction)/λ.
+    #[cfg(test)]
+    pub(super) fn place(&self, cell: usize) -> [f64; 4] {
+        self.places[cell]
+    }
+
     /// Standard normal numbers, smooth in space, per occupied cell.
-    fn turbulence(&self, shot: u64) -> Vec<f64> {
+    pub(super) fn turbulence(&self, shot: u64) -> Vec<f64> {
         if self.law.turbulence <= 0.0 {
             return vec![0.0; self.places.len()];
         }

@@ -105,7 +105,9 @@ pub(super) fn rosin_rammler(sauter_m: f64, exponent: f64) -> Vec<Class> {
     for class in 0..CLASSES {
         let (mut volume, mut surface) = (0.0, 0.0);
         for step in 0..STEPS {
-            let at = |part: f64| (low + (high - low) * (class as f64 + part / STEPS as f64) / CLASSES as f64).exp();
+            let at = |part: f64| {
+                (low + (high - low) * (class as f64 + part / STEPS as f64) / CLASSES as f64).exp()
+            };
             let (from, to) = (at(step as f64), at(step as f64 + 1.0));
             let part = below(to) - below(from);
             volume += part;

@@ -161,11 +161,12 @@ impl<'a> Spreading<'a> {
         let cells = std::array::from_fn(|a| 3.0 + ((upper[a] - lower[a]) / cell_m).ceil());
         let number: f64 = cells.iter().product();
         if !(number <= CELLS_MAX as f64) {
-            return Err(format!("cells of {cell_m:.2e} m make a grid of {number:.2e} cells, more than {CELLS_MAX}"));
+            return Err(format!(
+                "cells of {cell_m:.2e} m make a grid of {number:.2e} cells, more than {CELLS_MAX}"
+            ));
         }
-        let lower_m: [f64; 3] = std::array::from_fn(|a| {
-            0.5 * (lower[a] + upper[a]) - 0.5 * cells[a] * cell_m
-        });
+        let lower_m: [f64; 3] =
+            std::array::from_fn(|a| 0.5 * (lower[a] + upper[a]) - 0.5 * cells[a] * cell_m);
         let upper_m = std::array::from_fn(|a| lower_m[a] + cells[a] * cell_m);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most CELLS_MAX")]
         let cells = cells.map(|c| c as usize);
@@ -200,9 +201,8 @@ impl<'a> Spreading<'a> {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "within POINTS_RANGE")]
         let points = wanted.clamp(POINTS_RANGE[0], POINTS_RANGE[1]).ceil() as u32;
         // Area over share of the fuel is smooth even in the middle, where η is not.
-        let areas: [f64; NODES + 1] = std::array::from_fn(|i| {
-            profile.area(profile.eta(from + (to - from) * i as f64 / NODES as f64))
-        });
+        let areas: [f64; NODES + 1] =
+            std::array::from_fn(|i| profile.area(profile.eta(from + (to - from) * i as f64 / NODES as f64)));
         let sheet = matches!(self.jet.start.opening, Opening::Sheet { .. });
         // A start of its own for each element, so that neighbours do not repeat each other.
         let offset = (element.section * 16 + element.tube + 1000 * jet) as f64 * 0.618_033_988_749_895;
@@ -237,7 +237,11 @@ impl<'a> Spreading<'a> {
         for a in 0..3 {
             let last = self.grid.cells[a] - 2;
             let place = ((at[a] - self.grid.lower_m[a]) / size[a] - 0.5).clamp(0.0, last as f64 + 1.0);
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the grid")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "clamped to the grid"
+            )]
             let cell = (place as usize).min(last);
             low[a] = cell;
             part[a] = place - cell as f64;
@@ -257,7 +261,11 @@ impl<'a> Spreading<'a> {
     }
 
     /// The spray's field, all jets together.
-    pub(super) fn field(&self, fuel_molar_kg_mol: f64, liquid_kg_m3: impl Fn(f64) -> f64 + Sync) -> SprayField {
+    pub(super) fn field(
+        &self,
+        fuel_molar_kg_mol: f64,
+        liquid_kg_m3: impl Fn(f64) -> f64 + Sync,
+    ) -> SprayField {
         let elements = self.elements();
         let jets = self.place.jets();
         let pairs: Vec<Vec<(u32, f64)>> = elements
@@ -356,7 +364,8 @@ impl<'a> Spreading<'a> {
             filled += entries;
             field.cells.push(u32::try_from(cell).unwrap_or(u32::MAX));
             field.deposit_start.push(filled);
-            let temperature_k = if vapour_mol[cell] > 0.0 { warmth[cell] / vapour_mol[cell] } else { self.jet.start.gas_k };
+            let temperature_k =
+                if vapour_mol[cell] > 0.0 { warmth[cell] / vapour_mol[cell] } else { self.jet.start.gas_k };
             field.gas.push(Gas { temperature_k, vapour_mol_m3: vapour_mol[cell] / volume });
         }
         field.deposit_parcel = vec![0; filled as usize];
@@ -368,7 +377,10 @@ impl<'a> Spreading<'a> {
                     next[cell as usize] += 1;
                     field.deposit_parcel[slot] = u32::try_from(parcel).unwrap_or(u32::MAX);
                     // `share` sums to the number of jets; the parcel stands for all of them.
-                    #[expect(clippy::cast_possible_truncation, reason = "the field is kept in single precision")]
+                    #[expect(
+                        clippy::cast_possible_truncation,
+                        reason = "the field is kept in single precision"
+                    )]
                     let density = (share / jets * field.parcels[parcel].droplets / volume) as f32;
                     field.deposit_per_m3[slot] = density;
                 }
