@@ -426,6 +426,7 @@ fn the_hollow_cone_is_read_and_traced() {
     let depth = |x: f64| -> f64 {
         let size: Vec<f64> =
             (0..3).map(|a| (medium.upper_m[a] - medium.lower_m[a]) / medium.cells[a] as f64).collect();
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "places inside the grid")]
         let place = |a: usize, v: f64| ((v - medium.lower_m[a]) / size[a]) as usize;
         let (ix, iz) = (place(0, x), place(2, -0.010));
         (0..medium.cells[1])

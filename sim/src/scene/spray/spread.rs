@@ -160,7 +160,7 @@ impl<'a> Spreading<'a> {
         }
         let cells = std::array::from_fn(|a| 3.0 + ((upper[a] - lower[a]) / cell_m).ceil());
         let number: f64 = cells.iter().product();
-        if !(number <= CELLS_MAX as f64) {
+        if number.is_nan() || number > CELLS_MAX as f64 {
             return Err(format!(
                 "cells of {cell_m:.2e} m make a grid of {number:.2e} cells, more than {CELLS_MAX}"
             ));
