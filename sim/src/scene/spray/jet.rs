@@ -28,8 +28,10 @@ const SECTIONS: usize = 120;
 const SECTIONS_MAX: usize = 4 * SECTIONS;
 /// Courant number of the upwind step.
 const COURANT: f64 = 0.8;
-/// Longest step of the evaporation, s.
+/// Least step of the evaporation, s.
 const EVAPORATION_S: f64 = 4e-6;
+/// Most steps of the evaporation: droplets live for a tenth of a spray's age or longer, or are gone soon after the nozzle.
+const EVAPORATIONS: f64 = 400.0;
 /// Steps at most; a jet that needs more is refused.
 const STEPS_MAX: usize = 200_000;
 /// Droplets of a smaller share of their initial mass are gone: 1e-6 is a hundredth of the diameter.
@@ -179,11 +181,12 @@ impl Jet {
             if now_s < jet.start.duration_s {
                 step_s = step_s.min(jet.start.duration_s - now_s);
             }
-            jet.advect(step_s, properties, inflow > 0.0)?;
+            jet.advect(step_s, inflow > 0.0)?;
             now_s += step_s;
             since_s += step_s;
             // Splitting: flow first, then the same time of evaporation.
-            if since_s >= EVAPORATION_S || now_s >= time_s {
+            if since_s >= EVAPORATION_S.max(time_s / EVAPORATIONS) || now_s >= time_s {
+                jet.mix_gas(properties);
                 jet.evaporate(since_s, properties);
                 since_s = 0.0;
             }
@@ -262,7 +265,7 @@ impl Jet {
     }
 
     /// One upwind step of fuel, liquid and its heat; `injecting` feeds the first section.
-    fn advect(&mut self, step_s: f64, properties: &Properties, injecting: bool) -> Result<(), String> {
+    fn advect(&mut self, step_s: f64, injecting: bool) -> Result<(), String> {
         let trace_kg = TRACE * self.start.flow_kg_s * self.start.duration_s;
         if self.sections.last().is_none_or(|s| s.fuel_kg > trace_kg) {
             if self.sections.len() >= SECTIONS_MAX {
@@ -302,7 +305,6 @@ impl Jet {
             let slowness = self.slowness(i, fuel_kg);
             self.sections[i].slowness = slowness;
         }
-        self.mix_gas(properties);
         Ok(())
     }
 

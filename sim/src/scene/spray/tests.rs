@@ -161,7 +161,7 @@ fn evaporation_goes_the_right_way() {
 fn shots_have_the_stated_statistics() {
     let law = "shots = { turbulence = 0.25, integral_scale = 0.06, mass = 0.05, angle_deg = 0.5 }";
     let made = made(&multi_hole(&format!("time_s = 4e-4\ncell_m = 0.002\n{law}")));
-    let shots = 1500_u64;
+    let shots = 400_u64;
     let cells = made.field.cells.len();
     let (mut sum, mut square) = (vec![0.0_f64; cells], vec![0.0_f64; cells]);
     let mut masses = Vec::new();
@@ -215,7 +215,7 @@ fn eddies_have_the_stated_size() {
         let distance: f64 = place(first).iter().zip(place(cell)).map(|(a, b)| (a - b).powi(2)).sum();
         pairs.push((cell, (-0.5 * distance / (lambda * lambda)).exp()));
     }
-    let shots = 3000_u64;
+    let shots = 1000_u64;
     let fields: Vec<Vec<f64>> = (0..shots).map(|shot| made.shots.turbulence(shot)).collect();
     let mut seen = [false; 2];
     for (cell, expected) in pairs {
@@ -320,4 +320,67 @@ fn plumes_are_where_the_holes_point() {
     let mean = cone.iter().sum::<f64>() / bins as f64;
     // Square cells near the axis give a few per cent.
     assert!(cone.iter().all(|fuel| (fuel / mean - 1.0).abs() < 0.15), "{cone:?}");
+}
+
+/// The ends of the allowed ranges: everything is finite, between what can be, and conserved.
+#[test]
+fn extreme_values_give_finite_fields() {
+    let cases = [
+        ("n-heptane", "time_s = 1e-6"),
+        ("n-heptane", "time_s = 0.02\ncell_m = 0.01\ninjector = { duration_s = 0.1 }"),
+        (
+            "ethanol",
+            "gas = { pressure_pa = 2e4, temperature_k = 700 }\ninjector = { fuel_temperature_k = 450 }\ncell_m = 0.005",
+        ),
+        (
+            "n-hexadecane",
+            "gas = { pressure_pa = 2e6, temperature_k = 280 }\ninjector = { fuel_temperature_k = 640 }",
+        ),
+        (
+            "n-hexadecane",
+            "injector = { fuel_temperature_k = 300 }\ndroplets = { sauter_mean_m = 5e-4, spread = 1.3 }\ncell_m = 0.003",
+        ),
+        ("toluene", "droplets = { sauter_mean_m = 5e-7, spread = 20 }\ncell_m = 0.002"),
+        (
+            "isooctane",
+            "injector = { holes = 64, hole_diameter_m = 2e-5, angle_deg = 89, rail_pressure_pa = 5e8 }\ncell_m = 0.002",
+        ),
+        (
+            "isooctane",
+            "plume = { angle_deg = 90 }\nshots = { turbulence = 2, integral_scale = 0.005, mass = 1, angle_deg = 10 }\nshot = 3\ncell_m = 0.002",
+        ),
+        (
+            "isooctane",
+            "injector = { discharge_coefficient = 0.05, velocity_coefficient = 1, hole_diameter_m = 2e-3 }\ncell_m = 0.002",
+        ),
+    ];
+    for (fuel, text) in cases {
+        let mut source = multi_hole(text);
+        source.fuel = fuel.to_owned();
+        let ParametricSpray { field, summary, .. } = made(&source);
+        let mass = (summary.liquid_kg + summary.vapour_kg) / summary.injected_kg;
+        // Shots change masses.
+        assert!(mass.is_finite() && (source.shot.is_some() || (mass - 1.0).abs() < 1e-6), "{text}: {mass}");
+        assert!(field.deposit_per_m3.iter().all(|d| d.is_finite() && *d >= 0.0), "{text}");
+        for gas in &field.gas {
+            assert!(gas.vapour_mol_m3.is_finite() && gas.vapour_mol_m3 >= 0.0, "{text}: {gas:?}");
+            assert!((200.0..=700.0 + 1e-6).contains(&gas.temperature_k), "{text}: {gas:?}");
+        }
+        let hottest = source.gas.temperature_k.max(source.injector.feed().fuel_temperature_k);
+        for parcel in &field.parcels {
+            assert!(parcel.diameter_m > 0.0 && parcel.diameter_m < 0.01, "{text}: {parcel:?}");
+            assert!((219.0..=hottest + 1e-6).contains(&parcel.temperature_k), "{text}: {parcel:?}");
+            assert!(parcel.droplets.is_finite() && parcel.droplets > 0.0, "{text}: {parcel:?}");
+        }
+    }
+    for text in [
+        "injector = { cone_angle_deg = 175, sheet_thickness_m = 2e-6 }\ncell_m = 0.002",
+        "injector = { cone_angle_deg = 5, pintle_diameter_m = 0.05, sheet_thickness_m = 1e-3 }\ncell_m = 0.003",
+    ] {
+        let summary = made(&hollow_cone(text)).summary;
+        assert!(
+            ((summary.liquid_kg + summary.vapour_kg) / summary.injected_kg - 1.0).abs() < 1e-6,
+            "{summary:?}"
+        );
+    }
 }
