@@ -11,7 +11,8 @@
 //! Random numbers are counter-based and keyed by (seed, shot): the same bits for any number of threads.
 
 use super::description::ShotLaw;
-use super::spread::{Place, Spreading};
+use super::place::{Place, dot};
+use super::spread::Spreading;
 use crate::rig::noise::{Purpose, Stream};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -70,7 +71,7 @@ impl SprayShots {
             .map(|&cell| {
                 let at = centre(cell);
                 let from: [f64; 3] = std::array::from_fn(|a| at[a] - tip_m[a]);
-                let r = super::spread::dot(from, from).sqrt().hypot(CORE_M);
+                let r = dot(from, from).sqrt().hypot(CORE_M);
                 [r.ln() / lambda, from[0] / (r * lambda), from[1] / (r * lambda), from[2] / (r * lambda)]
             })
             .collect();
