@@ -33,18 +33,59 @@ fn with(line_start: &str, replacement: &str) -> String {
 }
 
 #[test]
-fn every_shipped_campaign_file_loads() {
+fn every_shipped_campaign_and_scene_file_loads() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs");
-    let mut seen = 0;
+    let (mut campaigns, mut scenes) = (0, 0);
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|extension| extension == "toml") {
             let text = std::fs::read_to_string(&path).unwrap();
-            Config::parse(&path.display().to_string(), &text).unwrap_or_else(|error| panic!("{error}"));
-            seen += 1;
+            if text.contains("[campaign]") {
+                Config::parse(&path.display().to_string(), &text).unwrap_or_else(|error| panic!("{error}"));
+                campaigns += 1;
+            } else {
+                ditd_sim::scene::file::load(&path).unwrap_or_else(|error| panic!("{error}"));
+                scenes += 1;
+            }
         }
     }
-    assert!(seen >= 2, "found {seen} campaign files");
+    assert!(campaigns >= 2 && scenes >= 2, "found {campaigns} campaign files and {scenes} scenes");
+}
+
+/// The rig takes the parametric spray of a scene file, and keeps that file with the run.
+#[test]
+fn the_rig_takes_the_spray_of_a_scene_file() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(
+        folder.path().join("spray.toml"),
+        "[medium]\nkind = \"multi-hole\"\nfuel = \"n-heptane\"\n",
+    )
+    .unwrap();
+    let text = with("source = { embedded", "source = { scene = \"spray.toml\" }");
+    let config = Config::parse("x.toml", &text).unwrap();
+    let files = ditd::rigs::own_files(&config, folder.path()).unwrap();
+    assert_eq!(files.len(), 1);
+    assert_eq!(files[0].0, Path::new("spray.toml"));
+    let mut rig = config.rig.clone().unwrap();
+    rig.view.columns = 40;
+    rig.view.rows = 32;
+    rig.target_error = 0.05;
+    let spray = rig.spray.as_mut().unwrap();
+    spray.cell_m = 0.002;
+    spray.scales = vec![1.0];
+    rig.fluctuation = None;
+    let world = ditd_sim::rig::build::world(&rig, ditd::rigs::View::Chamber, 1, folder.path(), &|_, _| {});
+    assert!(world.is_ok(), "{:?}", world.err());
+    // Another fuel than the campaign's, a scene without such a spray, and no scene at all.
+    for (content, words) in [
+        ("[medium]\nkind = \"multi-hole\"\nfuel = \"toluene\"\n", "toluene"),
+        ("[walls]\ntemperature_k = 300\n", "multi-hole"),
+        ("[medium]\nkind = \"multi-hole\"\nfuel = \"n-heptane\"\ntime_s = -1\n", "time_s is -1"),
+    ] {
+        std::fs::write(folder.path().join("spray.toml"), content).unwrap();
+        let error = ditd::rigs::own_files(&config, folder.path()).unwrap_err().to_string();
+        assert!(error.contains(words) && error.contains("spray.toml"), "{error}");
+    }
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! `ditd render`.
 
 use super::{CommandError, CommandResult};
-use ditd_sim::scene::file::{self, MediumSource, Scene};
+use crate::files::preview::{self, Colours, Preview};
+use ditd_sim::scene::file::{self, BandSource, MediumSource, Scene};
 use ditd_sim::scene::lights::{Lights, Share};
 use ditd_sim::scene::optics::{OpticsOptions, OpticsReport, Work};
 use ditd_sim::tracer::camera::Camera;
@@ -30,6 +31,14 @@ pub struct Args {
     /// Write the coefficient images to this EXR file
     #[arg(long)]
     out: Option<PathBuf>,
+    /// Write a picture of the radiance to this PNG file; with several plate temperatures one each, on a common scale,
+    /// with the temperature added to the name
+    #[arg(long, conflicts_with = "rays")]
+    png: Option<PathBuf>,
+    /// Temperatures of the plate in K of which images are wanted, separated by commas: channels radiance_plate_400K …
+    /// [default: the scene's temperatures_k in [plate]]
+    #[arg(long, value_name = "K", value_delimiter = ',', conflicts_with = "rays")]
+    plate_temperatures: Vec<f64>,
     /// Compute single rays instead: a CSV file with origin_x_m … direction_z, printed back with the coefficients
     #[arg(long, value_name = "RAYS.csv", conflicts_with = "out")]
     rays: Option<PathBuf>,
@@ -69,7 +78,7 @@ pub fn run(args: Args) -> CommandResult {
     }
     match &args.rays {
         Some(rays) => single_rays(&scene, rays, &args),
-        None => image(&scene, &args),
+        None => image(scene, &args),
     }
 }
 
@@ -104,7 +113,7 @@ fn trace(
         Some(MediumSource::Shape(shape, _)) => vec![Body::shape(shape)],
         Some(MediumSource::Grid(grid, _)) => vec![Body::grid(grid, 0)],
         Some(MediumSource::Spectral(grid, _)) => (0..grid.groups).map(|g| Body::grid(grid, g)).collect(),
-        Some(MediumSource::Cfd(_)) | None => vec![Body::grid(&empty, 0)],
+        Some(MediumSource::Cfd(_) | MediumSource::Parametric(_)) | None => vec![Body::grid(&empty, 0)],
     };
     let mut shares = vec![Vec::new(); rays.len()];
     let mut paths = 0;
@@ -262,10 +271,11 @@ struct Images {
     stats: Vec<(String, f64)>,
 }
 
-fn image(scene: &Scene, args: &Args) -> CommandResult {
+fn image(mut scene: Scene, args: &Args) -> CommandResult {
+    let temperatures_k = plate_temperatures(&mut scene, args)?;
     let camera = scene
         .camera
-        .as_ref()
+        .clone()
         .ok_or_else(|| CommandError::usage("render: the scene has no [camera]; add one or use --rays"))?;
     if camera.rows == 0 || camera.columns == 0 {
         return Err(CommandError::usage("render: the camera has no pixels"));
@@ -273,17 +283,123 @@ fn image(scene: &Scene, args: &Args) -> CommandResult {
     let target = args.target_error.unwrap_or(IMAGE_TARGET);
     let gridded = !matches!(&scene.medium, Some(MediumSource::Shape(..)));
     let (shares, mut stats) = if gridded && !args.reference {
-        fast(scene, camera, target, args.seed)?
+        fast(&scene, &camera, target, args.seed)?
     } else {
-        pixel_by_pixel(scene, camera, target, args.seed)?
+        pixel_by_pixel(&scene, &camera, target, args.seed)?
     };
     stats.extend(scene.optics.iter().flat_map(optics_stats));
-    let images = Images { channels: channels(&Columns::new(scene, args.groups), &shares), stats };
+    let columns = Columns::new(&scene, args.groups);
+    let mut images = Images { channels: channels(&columns, &shares), stats };
+    let mut pictures = Vec::new();
+    if temperatures_k.is_empty() && columns.lights.lit() {
+        pictures.push(Picture { name: None, values: radiance(&columns.lights, &shares) });
+    }
+    // Transport is linear: the plate's temperature enters only now.
+    for &kelvin in &temperatures_k {
+        if let Some(plate) = &mut scene.plate {
+            plate.temperature_k = Some(kelvin);
+        }
+        let lights = Lights::new(&scene);
+        if !lights.lit() {
+            return Err(CommandError::usage(
+                "render: images at plate temperatures need [band], and temperatures of [walls] and [medium]",
+            ));
+        }
+        pictures.push(Picture { name: Some(kelvin), values: radiance(&lights, &shares) });
+    }
+    for picture in &pictures {
+        if let Some(kelvin) = picture.name {
+            #[expect(clippy::cast_possible_truncation, reason = "EXR images hold f32")]
+            let values = picture.values.iter().map(|&v| v as f32).collect();
+            images.channels.push((format!("radiance_plate_{}", kelvin_name(kelvin)), values));
+        }
+    }
+    if let Some(png) = &args.png {
+        write_pngs(png, &camera, &scene, &pictures)?;
+    }
     if let Some(out) = &args.out {
-        write_exr(out, camera, &images)
+        write_exr(out, &camera, &images)
             .map_err(|e| CommandError::failure(format!("render: writing {}: {e}", out.display())))?;
     }
     report(&images, args.json)
+}
+
+/// The plate temperatures of which images are wanted: those of the command, else of the scene.
+fn plate_temperatures(scene: &mut Scene, args: &Args) -> Result<Vec<f64>, CommandError> {
+    let Some(plate) = &mut scene.plate else {
+        if args.plate_temperatures.is_empty() {
+            return Ok(Vec::new());
+        }
+        return Err(CommandError::usage("render: --plate-temperatures needs a scene with a [plate]"));
+    };
+    if args.plate_temperatures.is_empty() {
+        return Ok(plate.temperatures_k.clone());
+    }
+    if let Some(bad) = args.plate_temperatures.iter().find(|t| !(t.is_finite() && **t >= 0.0)) {
+        return Err(CommandError::usage(format!(
+            "render: --plate-temperatures holds {bad}; each must be finite and not negative"
+        )));
+    }
+    // Coefficients of a band are weighted with the plate's light: without a temperature of its own, the first one's.
+    plate.temperature_k = plate.temperature_k.or(args.plate_temperatures.first().copied());
+    Ok(args.plate_temperatures.clone())
+}
+
+/// A radiance image, of a plate temperature if one is named.
+struct Picture {
+    name: Option<f64>,
+    values: Vec<f64>,
+}
+
+fn radiance(lights: &Lights, shares: &[Vec<Share>]) -> Vec<f64> {
+    shares.iter().map(|shares| lights.see(shares).radiance).collect()
+}
+
+/// A temperature as part of a name: no dots, which EXR channels cannot have.
+fn kelvin_name(kelvin: f64) -> String {
+    format!("{kelvin}K").replace('.', "_")
+}
+
+/// Writes each picture as PNG, all on one scale.
+fn write_pngs(path: &Path, camera: &Camera, scene: &Scene, pictures: &[Picture]) -> Result<(), CommandError> {
+    if pictures.is_empty() {
+        return Err(CommandError::usage(
+            "render: --png shows radiances: give [band] and the temperatures of [plate], [walls] and [medium]",
+        ));
+    }
+    let all: Vec<f64> = pictures.iter().flat_map(|p| p.values.iter().copied()).collect();
+    // Tick labels stay short: a power of ten goes to the unit.
+    let largest = all.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
+    let power = if largest > 0.0 { libm::floor(libm::log10(largest)) } else { 0.0 };
+    let factor = libm::pow(10.0, -power);
+    let scaled: Vec<f64> = all.iter().map(|v| v * factor).collect();
+    let (low, high) = preview::round_range(&scaled);
+    let per = if matches!(scene.band, Some(BandSource::Wavelength(_))) { " um" } else { "" };
+    let unit = format!("1e{power:.0} ph/(s m2 sr{per})");
+    for (picture, values) in pictures.iter().zip(scaled.chunks(camera.rows * camera.columns)) {
+        let title =
+            picture.name.map_or("radiance".to_owned(), |kelvin| format!("radiance, plate {kelvin} K"));
+        let out = match picture.name {
+            Some(kelvin) if pictures.len() > 1 => {
+                let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+                path.with_file_name(format!("{stem}_{}.png", kelvin_name(kelvin)))
+            }
+            _ => path.to_owned(),
+        };
+        let png = preview::to_png(&Preview {
+            rows: camera.rows,
+            columns: camera.columns,
+            values,
+            low,
+            high,
+            title: &title,
+            unit: &unit,
+            colours: Colours::Inferno,
+        });
+        png.and_then(|bytes| std::fs::write(&out, bytes))
+            .map_err(|e| CommandError::failure(format!("render: writing {}: {e}", out.display())))?;
+    }
+    Ok(())
 }
 
 /// What the coefficients of a spray took, and what was left out: groups and the most that it can cost.

@@ -15,10 +15,13 @@ use crate::light::window::{Plate as WindowPlate, WindowError};
 use crate::rig::RigError;
 use crate::scene::compact;
 use crate::scene::deposit::{self, DepositOptions};
-use crate::scene::field::CfdSpray;
+use crate::scene::field::{CfdSpray, SprayField};
+use crate::scene::file::{self, MediumSource};
 use crate::scene::import::{self, ImportOptions, SceneError, Time};
 use crate::scene::library::{self, OwnFile};
 use crate::scene::optics::{self, Source, Species, Strength};
+use crate::scene::spray as parametric_spray;
+use crate::scene::spray::description::{Injector, SpraySource as ParametricSource};
 use crate::tracer::camera::{Camera, PixelFilter, Projection};
 use crate::tracer::error::TracerError;
 use crate::tracer::image::{RenderOptions, render_image};
@@ -126,6 +129,12 @@ pub fn own_files(config: &RigConfig, folder: &Path) -> Result<Vec<OwnFile>, Buil
     let mut files = Vec::new();
     if let Some(spray) = &config.spray {
         files.extend(library::fuel_and_files(&spray.fuel, folder)?.1);
+        if let SpraySource::Scene(path) = &spray.source {
+            parametric(spray, path, folder)?;
+            let text = std::fs::read_to_string(folder.join(path))
+                .map_err(|error| unusable_scene(path, &error.to_string()))?;
+            files.push((path.clone(), text));
+        }
     }
     for window in config.window.iter().flat_map(|both| [&both.near, &both.far]) {
         files.extend(library::material_and_file(&window.material, folder).map_err(material_error)?.1);
@@ -237,10 +246,8 @@ fn spray_sights(
     progress: &(dyn Fn(&str, f64) + Sync),
 ) -> Result<Sights, BuildError> {
     progress("reading the spray", 0.0);
-    let cfd = read_spray(spray, folder)?;
-    let options = DepositOptions { cell_m: Some(spray.cell_m), ..DepositOptions::default() };
-    let (field, _) = deposit::field(&cfd, &options)?;
     let fuel = library::fuel(&spray.fuel, folder)?;
+    let field = field(spray, &fuel, folder)?;
     if library::is_file(&spray.fuel) {
         covers(&fuel, band)?;
     }
@@ -293,9 +300,60 @@ fn covers(fuel: &Fuel, band: &Band) -> Result<(), RigError> {
     }
 }
 
+/// The spray on its grid.
+fn field(spray: &SprayConfig, fuel: &Fuel, folder: &Path) -> Result<SprayField, BuildError> {
+    if let SpraySource::Scene(path) = &spray.source {
+        let mut source = parametric(spray, path, folder)?;
+        source.cell_m = Some(spray.cell_m);
+        source.time_s = spray.time_s.unwrap_or(source.time_s);
+        // The rig makes shots itself.
+        source.shot = None;
+        return parametric_spray::spray(&source, fuel)
+            .map(|made| made.field)
+            .map_err(|why| unusable_scene(path, &why).into());
+    }
+    let options = DepositOptions { cell_m: Some(spray.cell_m), ..DepositOptions::default() };
+    Ok(deposit::field(&read_spray(spray, folder)?, &options)?.0)
+}
+
+fn unusable_scene(path: &Path, why: &str) -> RigError {
+    RigError::Config { key: "rig.spray.source".to_owned(), why: format!("{}: {why}", path.display()) }
+}
+
+/// What a scene file says about its parametric spray.
+fn parametric(
+    spray: &SprayConfig,
+    path: &Path,
+    folder: &Path,
+) -> Result<ParametricSource<Injector>, BuildError> {
+    let scene = file::load(&folder.join(path)).map_err(|error| unusable_scene(path, &error.to_string()))?;
+    let Some(MediumSource::Parametric(source)) = scene.medium else {
+        let why =
+            "its [medium] is neither \"multi-hole\" nor \"hollow-cone\"; of a CFD spray give { path = … }";
+        return Err(unusable_scene(path, why).into());
+    };
+    let beside = folder.join(path.parent().unwrap_or(Path::new("")));
+    let same = if library::is_file(&spray.fuel) {
+        folder.join(&spray.fuel) == beside.join(&source.spray.fuel)
+    } else {
+        spray.fuel == source.spray.fuel
+    };
+    if !same {
+        return Err(RigError::Config {
+            key: "rig.spray.fuel".to_owned(),
+            why: format!("it is {:?} here and {:?} in {}", spray.fuel, source.spray.fuel, path.display()),
+        }
+        .into());
+    }
+    Ok(source.spray)
+}
+
 /// The spray's parcels and cells.
 fn read_spray(spray: &SprayConfig, folder: &Path) -> Result<CfdSpray, BuildError> {
     match &spray.source {
+        SpraySource::Scene(path) => {
+            Err(unusable_scene(path, "a parametric spray has neither parcels nor CFD cells").into())
+        }
         SpraySource::Embedded(name) if name == EMBEDDED => Ok(compact::shipped()?),
         SpraySource::Embedded(name) => Err(BuildError::Rig(RigError::Config {
             key: "rig.spray.source".to_owned(),

@@ -51,12 +51,13 @@ pub struct RigConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SprayConfig {
-    /// Where the spray comes from: `{ embedded = "NAME" }` or `{ path = "FILE" }`.
+    /// Where the spray comes from: `{ embedded = "NAME" }`, `{ path = "FILE" }` or
+    /// `{ scene = "SCENE.toml" }`.
     pub source: SpraySource,
     /// Name of a shipped fuel, or the path of a fuel of your own (`.toml`, docs/MATERIALS.md), relative to the campaign
     /// file.
     pub fuel: String,
-    /// Time after the start of injection, in seconds; absent = the only or last time of the source.
+    /// Time after the start of injection, in seconds; absent = the only or last time of the source, or the scene's.
     pub time_s: Option<f64>,
     /// Edge of a cell of the rendered medium, in metres.
     pub cell_m: f64,
@@ -75,6 +76,9 @@ pub enum SpraySource {
     Embedded(String),
     /// A file or folder, relative to the campaign file.
     Path(PathBuf),
+    /// The parametric spray of a scene file (`[medium] kind = "multi-hole"` or `"hollow-cone"`), relative to the campaign
+    /// file: its mean over shots. Of the scene nothing else counts.
+    Scene(PathBuf),
 }
 
 /// Gas and walls.

@@ -31,6 +31,10 @@ pub enum Purpose {
     Scramble = 8,
     /// The zero of a device clock.
     Clock = 9,
+    /// Mass and direction of each plume of one shot of a parametric spray.
+    Plumes = 10,
+    /// Turbulence of one shot of a parametric spray.
+    Turbulence = 11,
 }
 
 /// A stream of random numbers that is addressed, not stepped.

@@ -146,7 +146,7 @@ impl Lights {
             && match &scene.medium {
                 Some(MediumSource::Shape(_, t)) => t.is_some(),
                 Some(MediumSource::Grid(_, hot)) => *hot,
-                Some(MediumSource::Cfd(_)) => false,
+                Some(MediumSource::Cfd(_) | MediumSource::Parametric(_)) => false,
                 Some(MediumSource::Spectral(..)) | None => true,
             };
         Self { samples, glow, lit }
@@ -267,7 +267,7 @@ fn glow(scene: &Scene) -> (Glow, Option<f64>) {
             let um = band.wavelengths_um[brightest];
             (Glow::GroupChannel, mean_radiance(grid, brightest, |r| inverse_photon_radiance(um, r)))
         }
-        Some(MediumSource::Cfd(_)) | None => (Glow::Temperature(0.0), None),
+        Some(MediumSource::Cfd(_) | MediumSource::Parametric(_)) | None => (Glow::Temperature(0.0), None),
     }
 }
 

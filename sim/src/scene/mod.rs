@@ -8,3 +8,4 @@ pub mod import;
 pub mod library;
 pub mod lights;
 pub mod optics;
+pub mod spray;

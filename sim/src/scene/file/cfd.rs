@@ -1,4 +1,4 @@
-//! A CFD spray as a medium: the place where import, deposit and optics are joined.
+//! A spray as a medium: the place where import and deposit, or the parametric models, and optics are joined.
 
 use super::phase::{cut, thin, told};
 use super::{BandSource, CfdSource, MediumSource, Samples, Scene, SceneError};
@@ -6,6 +6,7 @@ use crate::light::band::{Absorbers, Band};
 use crate::light::fuel::Fuel;
 use crate::light::phase::truncation::Truncation;
 use crate::scene::deposit::{self, DepositOptions, Move, Placement};
+use crate::scene::field::SprayField;
 use crate::scene::import::{self, ImportOptions, Time};
 use crate::scene::optics::{Optics, OpticsOptions, OpticsReport, Source};
 use crate::scene::{compact, library, optics};
@@ -19,41 +20,69 @@ const EMISSIVITY_ERROR: f64 = 1e-3;
 const SAME_TIME: f64 = 1e-6;
 
 impl Scene {
-    /// Imports the scene's CFD spray, if it has one, for a purpose, and says in its notes how. Other scenes stay as they
-    /// are.
+    /// Makes the scene's spray, if it has one, for a purpose: imports it from CFD or follows it from its injector. Says
+    /// in its notes how. Other scenes stay as they are.
     ///
     /// # Errors
     ///
-    /// [`SceneError`] for a spray that cannot be read, an unknown fuel, or a scene without band.
+    /// [`SceneError`] for a spray that cannot be read or made, an unknown fuel, or a scene without band.
     pub fn with_spray(mut self, options: &OpticsOptions) -> Result<Self, SceneError> {
-        if let Some(MediumSource::Cfd(source)) = &self.medium {
-            let (medium, report, notes) = spectral(source, self.band.as_ref(), options)?;
-            self.medium = Some(medium);
-            self.optics = Some(report);
-            self.notes.extend(notes);
-        }
+        let made = match &self.medium {
+            Some(MediumSource::Cfd(source)) => {
+                let (fuel, field, notes) = imported(source)?;
+                Made {
+                    scene: &source.scene,
+                    kind: "cfd",
+                    fuel,
+                    field,
+                    notes,
+                    truncate_deg: source.truncate_deg,
+                }
+            }
+            Some(MediumSource::Parametric(source)) => {
+                let (fuel, spray) = source.made()?;
+                self.shots = Some(spray.shots);
+                Made {
+                    scene: &source.scene,
+                    kind: source.spray.injector.kind(),
+                    fuel,
+                    field: spray.field,
+                    notes: spray.summary.notes(),
+                    truncate_deg: source.spray.truncate_deg,
+                }
+            }
+            _ => return Ok(self),
+        };
+        let (medium, report, notes) = spectral(made, self.band.as_ref(), options)?;
+        self.medium = Some(medium);
+        self.optics = Some(report);
+        self.notes.extend(notes);
         Ok(self)
     }
 }
 
-fn spectral(
-    source: &CfdSource,
-    band: Option<&BandSource>,
-    options: &OpticsOptions,
-) -> Result<(MediumSource, OpticsReport, Vec<String>), SceneError> {
-    let text = std::fs::read_to_string(&source.scene).unwrap_or_default();
-    let wrong = |problem: String| SceneError::Meaning {
-        path: source.scene.clone(),
-        line: super::line_of(&text, 0, &problem),
-        problem,
-    };
+/// A spray on a grid, and what its coefficients depend on besides.
+struct Made<'a> {
+    scene: &'a Path,
+    kind: &'a str,
+    fuel: Fuel,
+    field: SprayField,
+    notes: Vec<String>,
+    truncate_deg: Option<f64>,
+}
+
+/// A message about a scene file, with the line it is about.
+fn meaning(scene: &Path, problem: String) -> SceneError {
+    let text = std::fs::read_to_string(scene).unwrap_or_default();
+    SceneError::Meaning { path: scene.to_owned(), line: super::line_of(&text, 0, &problem), problem }
+}
+
+/// A CFD spray, read and spread on its grid.
+fn imported(source: &CfdSource) -> Result<(Fuel, SprayField, Vec<String>), SceneError> {
+    let wrong = |problem: String| meaning(&source.scene, problem);
     let unread = |e| SceneError::Spray { path: source.scene.clone(), source: Box::new(e) };
-    let band = band.ok_or_else(|| {
-        wrong("[medium] kind \"cfd\" needs a [band]: its coefficients depend on the wavelength".to_owned())
-    })?;
     let folder = source.scene.parent().unwrap_or(Path::new(""));
     let fuel = library::fuel(&source.fuel, folder).map_err(|e| wrong(format!("[medium] fuel: {e}")))?;
-    let mut notes = Vec::new();
     let spray = if source.embedded {
         let spray = compact::shipped().map_err(unread)?;
         if let Some(t) = source.time_s.filter(|t| (t - spray.time_s).abs() > SAME_TIME * spray.time_s) {
@@ -71,7 +100,7 @@ fn spectral(
     let placement = placement(source).map_err(unread)?;
     let spread = DepositOptions { cell_m: source.cell_m, placement, ..DepositOptions::default() };
     let (field, report) = deposit::field(&spray, &spread).map_err(unread)?;
-    notes.push(format!(
+    let note = format!(
         "spray at {:.3e} s: {} cells of {:.3e} m, {} with droplets, {} with vapour; {} parcels outside, {} junk",
         spray.time_s,
         report.cells,
@@ -80,8 +109,25 @@ fn spectral(
         report.vapour_cells,
         report.outside_parcels,
         report.junk_parcels
-    ));
-    let absorbers = Absorbers { liquid: report.droplet_cells > 0, vapour: report.vapour_cells > 0 };
+    );
+    Ok((fuel, field, vec![note]))
+}
+
+/// The coefficients of a spray in the scene's band.
+fn spectral(
+    made: Made<'_>,
+    band: Option<&BandSource>,
+    options: &OpticsOptions,
+) -> Result<(MediumSource, OpticsReport, Vec<String>), SceneError> {
+    let Made { scene, kind, fuel, field, mut notes, truncate_deg } = made;
+    let wrong = |problem: String| meaning(scene, problem);
+    let band = band.ok_or_else(|| {
+        wrong(format!("[medium] kind {kind:?} needs a [band]: its coefficients depend on the wavelength"))
+    })?;
+    let absorbers = Absorbers {
+        liquid: !field.deposit_parcel.is_empty(),
+        vapour: field.gas.iter().any(|gas| gas.vapour_mol_m3 > 0.0),
+    };
     let samples = samples(band, &fuel, absorbers, &mut notes).map_err(wrong)?;
     notes.extend(outside(&fuel, &samples));
     let sources = [Source::UNIT, Source::RADIANCE];
@@ -102,7 +148,7 @@ fn spectral(
             skip.admitted_error
         ));
     }
-    if let Some(degrees) = source.truncate_deg {
+    if let Some(degrees) = truncate_deg {
         let cuts: Vec<Truncation> = medium
             .phase
             .iter()

@@ -1,11 +1,13 @@
-//! The `[medium]` tables: analytic shapes, grids with their arrays, and the names of CFD sprays.
+//! The `[medium]` tables: analytic shapes, grids with their arrays, and what CFD and parametric sprays are made of.
 
 use super::band::BandSource;
+use super::parametric::ParametricSource;
 use super::phase::thin;
 use super::tables::{GridTable, MediumTable, NumberOrFile};
 use super::{Reader, SceneError, npy};
 use crate::light::band::Band;
 use crate::scene::compact;
+use crate::scene::spray::description::{Injector, SpraySource};
 use crate::tracer::medium::{EMPTY, GridMedium};
 use crate::tracer::shape::{Body, Shape, ShapeMedium};
 use serde::Deserialize;
@@ -20,6 +22,8 @@ pub enum MediumSource {
     Grid(Box<GridMedium>, bool),
     /// A CFD spray, still to be imported.
     Cfd(CfdSource),
+    /// A parametric spray, still to be made.
+    Parametric(Box<ParametricSource>),
     /// A grid with one group per sample of the band, and two channels: 1, and the radiance per µm of liquid and
     /// vapour at their own temperatures.
     Spectral(Box<GridMedium>, Band),
@@ -81,6 +85,8 @@ impl Reader<'_> {
                 source.scene = self.path.to_owned();
                 return Ok(MediumSource::Cfd(source));
             }
+            MediumTable::MultiHole(t) => return self.parametric(t.with_injector(Injector::MultiHole)),
+            MediumTable::HollowCone(t) => return self.parametric(t.with_injector(Injector::HollowCone)),
             MediumTable::Slab(t) => {
                 if t.optical_depth.is_nan() || t.optical_depth < 0.0 {
                     return Err(self.wrong("[medium] optical_depth must not be negative"));
@@ -117,6 +123,11 @@ impl Reader<'_> {
         let medium = self.scattering(&phase, notes)?.shape(shape, albedo);
         Body::shape(&medium).map_err(|e| self.wrong(format!("[medium] {e}")))?;
         Ok(MediumSource::Shape(medium, temperature_k))
+    }
+
+    fn parametric(&self, spray: SpraySource<Injector>) -> Result<MediumSource, SceneError> {
+        spray.check().map_err(|problem| self.wrong(problem))?;
+        Ok(MediumSource::Parametric(Box::new(ParametricSource { spray, scene: self.path.to_owned() })))
     }
 
     fn array(&self, file: &Path) -> Result<npy::Array, SceneError> {

@@ -7,15 +7,19 @@ mod camera;
 mod cfd;
 mod media;
 pub mod npy;
+mod parametric;
 mod phase;
 mod tables;
 mod window;
 
 pub use band::{BandSource, Samples};
 pub use media::{CfdSource, MediumSource};
+pub use parametric::ParametricSource;
 pub use window::{WindowSource, Windows};
 
+use crate::light::names;
 use crate::scene::optics::OpticsReport;
+use crate::scene::spray::SprayShots;
 use crate::tracer::camera::Camera;
 use crate::tracer::plate::{Plate, PlateShape};
 use std::path::{Path, PathBuf};
@@ -36,7 +40,7 @@ pub enum SceneError {
         source: std::io::Error,
     },
     /// The text is not a scene; the message shows line and place.
-    #[error("scene {path}: {source}")]
+    #[error("scene {path}: {source}{}", meant(&source.to_string()))]
     Parse {
         /// The file.
         path: PathBuf,
@@ -90,6 +94,8 @@ pub struct Scene {
     pub notes: Vec<String>,
     /// How the coefficients of a spray were made; none for other media.
     pub optics: Option<OpticsReport>,
+    /// How shots of a parametric spray differ, per occupied cell of the medium in its order; none for other media.
+    pub shots: Option<SprayShots>,
 }
 
 /// The plate and its light.
@@ -99,6 +105,8 @@ pub struct PlateSource {
     pub shape: PlateShape,
     /// Temperature in K, if given.
     pub temperature_k: Option<f64>,
+    /// Temperatures in K of which images are wanted besides; without `temperature_k` the first one stands for it.
+    pub temperatures_k: Vec<f64>,
     /// Emissivity in (0, 1]; the rest mirrors the walls.
     pub emissivity: f64,
 }
@@ -112,7 +120,7 @@ pub struct WallSource {
     pub emissivity: f64,
 }
 
-/// Reads a scene file and the arrays it names. CFD sprays are named only: [`Scene::with_spray`] imports them.
+/// Reads a scene file and the arrays it names. Sprays are described only: [`Scene::with_spray`] makes them.
 ///
 /// # Errors
 ///
@@ -160,8 +168,17 @@ impl Reader<'_> {
             .map(|m| self.medium(m, band.as_ref(), &mut notes))
             .collect::<Result<Vec<_>, _>>()?;
         let medium = self.superpose(media)?;
-        let mut scene =
-            Scene { camera, plate, walls, band, medium, windows: Windows::default(), notes, optics: None };
+        let mut scene = Scene {
+            camera,
+            plate,
+            walls,
+            band,
+            medium,
+            windows: Windows::default(),
+            notes,
+            optics: None,
+            shots: None,
+        };
         scene.windows = self.windows(&tables.window, tables.lab.as_ref(), &scene)?;
         Ok(scene)
     }
@@ -198,7 +215,16 @@ impl Reader<'_> {
         if !(table.emissivity > 0.0 && table.emissivity <= 1.0) {
             return Err(self.wrong("[plate] emissivity must be above 0 and at most 1"));
         }
-        Ok(PlateSource { shape, temperature_k: table.temperature_k, emissivity: table.emissivity })
+        for &t in &table.temperatures_k {
+            if !(t >= 0.0 && t.is_finite()) {
+                return Err(self.wrong(format!(
+                    "[plate] temperatures_k holds {t}; each must be finite and not negative"
+                )));
+            }
+        }
+        let temperatures_k = table.temperatures_k.clone();
+        let temperature_k = table.temperature_k.or(temperatures_k.first().copied());
+        Ok(PlateSource { shape, temperature_k, temperatures_k, emissivity: table.emissivity })
     }
 
     fn walls(&self, table: &WallTable) -> Result<WallSource, SceneError> {
@@ -217,6 +243,19 @@ impl Reader<'_> {
             _ => Ok(()),
         }
     }
+}
+
+/// For a message about an unknown key or kind: which known one it may have meant.
+fn meant(message: &str) -> String {
+    let Some((_, rest)) =
+        message.split_once("unknown field `").or_else(|| message.split_once("unknown variant `"))
+    else {
+        return String::new();
+    };
+    // `wrong`, expected one of `a`, `b`: every second piece is a name.
+    let names: Vec<&str> = rest.split('`').step_by(2).map(str::trim).collect();
+    let known: Vec<&str> = rest.split('`').skip(2).step_by(2).collect();
+    names.first().map_or(String::new(), |wrong| names::guessed(wrong, &known))
 }
 
 /// Line, counted from 1, of the key that a problem of table `nth` names, else of that table's head.

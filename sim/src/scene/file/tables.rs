@@ -1,6 +1,7 @@
 //! The tables of a scene file as TOML has them, unchecked.
 
 use super::media::CfdSource;
+use crate::scene::spray::description::{HollowCone, MultiHole, SpraySource};
 use serde::Deserialize;
 use std::path::PathBuf;
 
@@ -61,6 +62,9 @@ pub(super) struct PlateTable {
     pub(super) diameter_m: Option<f64>,
     pub(super) half_angle_deg: Option<f64>,
     pub(super) temperature_k: Option<f64>,
+    /// Temperatures of which images are wanted.
+    #[serde(default)]
+    pub(super) temperatures_k: Vec<f64>,
     #[serde(default = "one")]
     pub(super) emissivity: f64,
 }
@@ -152,6 +156,8 @@ pub(super) enum MediumTable {
     Gaussian(GaussianTable),
     Box(BoxTable),
     Cfd(CfdSource),
+    MultiHole(SpraySource<MultiHole>),
+    HollowCone(SpraySource<HollowCone>),
 }
 
 #[derive(Deserialize)]

@@ -203,6 +203,8 @@ fn middle(scene: &Scene) -> Vector {
         Some(MediumSource::Grid(grid, _) | MediumSource::Spectral(grid, _)) => {
             halfway(grid.lower_m, grid.upper_m)
         }
-        Some(MediumSource::Cfd(_)) | None => scene.camera.as_ref().map_or([0.0; 3], |c| c.look_at_m),
+        Some(MediumSource::Cfd(_) | MediumSource::Parametric(_)) | None => {
+            scene.camera.as_ref().map_or([0.0; 3], |c| c.look_at_m)
+        }
     }
 }
