@@ -1,6 +1,7 @@
 //! `ditd render`.
 
 use super::{CommandError, CommandResult};
+use ditd_sim::scene::deposit::DepositReport;
 use ditd_sim::scene::file::{self, MediumSource, Scene};
 use ditd_sim::scene::lights::{Lights, Share};
 use ditd_sim::scene::optics::{OpticsOptions, OpticsReport, Work};
@@ -278,6 +279,7 @@ fn image(scene: &Scene, args: &Args) -> CommandResult {
         pixel_by_pixel(scene, camera, target, args.seed)?
     };
     stats.extend(scene.optics.iter().flat_map(optics_stats));
+    stats.extend(scene.deposit.iter().flat_map(deposit_stats));
     let images = Images { channels: channels(&Columns::new(scene, args.groups), &shares), stats };
     if let Some(out) = &args.out {
         write_exr(out, camera, &images)
@@ -302,6 +304,32 @@ fn optics_stats(report: &OpticsReport) -> Vec<(String, f64)> {
         stats.push((format!("skipped_{}_error", work.name()), error));
     }
     stats
+}
+
+/// How the spray was spread on the grid: what got lost, and how much of the picture is parcel noise.
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
+fn deposit_stats(report: &DepositReport) -> Vec<(String, f64)> {
+    let [x, y, z] = report.split_half;
+    let stats = [
+        ("spray_cell_m", report.cell_m[0]),
+        ("spray_droplet_cells", report.droplet_cells as f64),
+        ("spray_vapour_cells", report.vapour_cells as f64),
+        ("spray_droplets", report.droplets),
+        ("spray_outside_droplets", report.outside_droplets),
+        ("spray_outside_parcels", report.outside_parcels as f64),
+        ("spray_junk_parcels", report.junk_parcels as f64),
+        ("spray_droplet_error", report.droplet_error),
+        ("spray_vapour_mol", report.vapour_mol),
+        ("spray_outside_vapour_mol", report.outside_vapour_mol),
+        ("spray_vapour_error", report.vapour_error),
+        ("n_eff", report.n_eff),
+        ("n_eff_short", report.n_eff_short),
+        ("kernel_m", report.kernel_m),
+        ("split_half_x", x),
+        ("split_half_y", y),
+        ("split_half_z", z),
+    ];
+    stats.map(|(name, value)| (name.to_owned(), value)).to_vec()
 }
 
 /// Shares of every pixel and group, and what was done.

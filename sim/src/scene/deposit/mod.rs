@@ -9,7 +9,7 @@ mod placement;
 mod slopes;
 mod vapour;
 
-pub use placement::{Move, Placement};
+pub use placement::{Move, Placement, Sectors};
 
 use super::field::{CfdSpray, Gas, Grid, Parcel, SprayField, junk};
 use super::import::SceneError;
@@ -43,6 +43,8 @@ pub struct DepositOptions {
     /// Vapour below this concentration is left out, in mol/m³. The default 1e-4 is an optical depth of 2e-4 over
     /// 50 mm at the strongest line of a C–H band (40 m²/mol).
     pub vapour_min_mol_m3: f64,
+    /// A sector of a symmetric spray is made whole; `None`: the spray is whole.
+    pub sectors: Option<Sectors>,
     /// Where the spray is put; `None`: as it is.
     pub placement: Option<Placement>,
     /// Only this part of the scene, in metres; `None`: all. What lies beyond is reported as outside.
@@ -58,6 +60,7 @@ impl Default for DepositOptions {
             noise_max: 0.045,
             kernel_max: 4.0,
             vapour_min_mol_m3: 1e-4,
+            sectors: None,
             placement: None,
             region_m: None,
         }
@@ -157,9 +160,18 @@ pub fn field(spray: &CfdSpray, options: &DepositOptions) -> Result<(SprayField, 
     let mut gas = slopes::pieces(spray, options.vapour_min_mol_m3);
     let mut parcels = Cow::Borrowed(all);
     let mut walls = spray.domain_m;
+    if let Some(sectors) = &options.sectors {
+        let turns = sectors.turns()?;
+        gas.pieces = turns.iter().flat_map(|turn| turn.pieces(&gas.pieces)).collect();
+        gas.total_mol *= turns.len() as f64;
+        gas.left_out_mol *= turns.len() as f64;
+        parcels = Cow::Owned(turns.iter().flat_map(|turn| turn.parcels(all)).collect());
+        // The box of a sector says nothing of the whole.
+        walls = None;
+    }
     if let Some(placement) = &options.placement {
         gas.pieces = placement.pieces(&gas.pieces);
-        parcels = Cow::Owned(placement.parcels(all));
+        parcels = Cow::Owned(placement.parcels(&parcels));
         walls = walls.and_then(|walls| placement.walls(walls));
     }
     let bounds = intersect(walls, options.region_m);

@@ -30,6 +30,40 @@ pub struct Move {
     pub turn_rad: f64,
 }
 
+/// A spray that is one of several equal sectors about an axis, as vessels with cyclic walls are computed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sectors {
+    /// How many sectors make the whole; at least 1.
+    pub number: u32,
+    /// A place on the axis in the CFD mesh, in metres.
+    pub tip_m: [f64; 3],
+    /// Direction of the axis in the CFD mesh; any length but zero.
+    pub axis: [f64; 3],
+}
+
+/// Sectors at most: no injector has as many holes.
+const SECTORS_MAX: u32 = 64;
+
+impl Sectors {
+    /// The turns that make the whole of one sector, the first of them none.
+    pub(super) fn turns(&self) -> Result<Vec<Placement>, SceneError> {
+        if !(1..=SECTORS_MAX).contains(&self.number) {
+            return Err(refuse(&format!("{} sectors are not between 1 and {SECTORS_MAX}", self.number)));
+        }
+        (0..self.number)
+            .map(|turn| {
+                Placement::new(Move {
+                    tip_m: self.tip_m,
+                    axis: self.axis,
+                    scene_tip_m: self.tip_m,
+                    scene_axis: self.axis,
+                    turn_rad: std::f64::consts::TAU * f64::from(turn) / f64::from(self.number),
+                })
+            })
+            .collect()
+    }
+}
+
 impl Placement {
     /// The shortest turn that brings the axes together, then the turn about the axis, tip onto tip.
     ///
@@ -207,6 +241,22 @@ mod tests {
             for a in 0..3 {
                 assert!((end[a] - tip[a] - to[a]).abs() < 1e-14, "{axis:?} to {scene_axis:?}: {end:?}");
             }
+        }
+    }
+
+    #[test]
+    fn sectors_come_round_and_the_first_stays() {
+        let sectors = Sectors { number: 8, tip_m: [0.0, 0.001, 0.0], axis: [0.0, 0.0, -2.0] };
+        let turns = sectors.turns().unwrap();
+        let place = [0.01, 0.001, -0.02];
+        for (number, turn) in (0_u32..).zip(&turns) {
+            let angle = -std::f64::consts::FRAC_PI_4 * f64::from(number);
+            let expected = [0.01 * angle.cos(), 0.001 + 0.01 * angle.sin(), -0.02];
+            let found = turn.point(place);
+            assert!((0..3).all(|a| (found[a] - expected[a]).abs() < 1e-15), "{found:?} {expected:?}");
+        }
+        for number in [0, 65] {
+            assert!(Sectors { number, ..sectors }.turns().is_err());
         }
     }
 

@@ -270,6 +270,7 @@ mod tests {
             fuel: "C7H16".into(),
             fuel_molar_mass_kg_mol: 0.1,
             carrier_molar_mass_kg_mol: 0.028,
+            notes: Vec::new(),
         }
     }
 

@@ -5,7 +5,7 @@ use super::{BandSource, CfdSource, MediumSource, Samples, Scene, SceneError};
 use crate::light::band::{Absorbers, Band};
 use crate::light::fuel::Fuel;
 use crate::light::phase::truncation::Truncation;
-use crate::scene::deposit::{self, DepositOptions, Move, Placement};
+use crate::scene::deposit::{self, DepositOptions, DepositReport, Move, Placement, Sectors};
 use crate::scene::import::{self, ImportOptions, Time};
 use crate::scene::optics::{Optics, OpticsOptions, OpticsReport, Source};
 use crate::scene::{compact, library, optics};
@@ -27,20 +27,29 @@ impl Scene {
     /// [`SceneError`] for a spray that cannot be read, an unknown fuel, or a scene without band.
     pub fn with_spray(mut self, options: &OpticsOptions) -> Result<Self, SceneError> {
         if let Some(MediumSource::Cfd(source)) = &self.medium {
-            let (medium, report, notes) = spectral(source, self.band.as_ref(), options)?;
-            self.medium = Some(medium);
-            self.optics = Some(report);
-            self.notes.extend(notes);
+            let made = spectral(source, self.band.as_ref(), options)?;
+            self.medium = Some(made.medium);
+            self.optics = Some(made.optics);
+            self.deposit = Some(made.deposit);
+            self.notes.extend(made.notes);
         }
         Ok(self)
     }
+}
+
+/// A spray made a medium.
+struct Made {
+    medium: MediumSource,
+    optics: OpticsReport,
+    deposit: DepositReport,
+    notes: Vec<String>,
 }
 
 fn spectral(
     source: &CfdSource,
     band: Option<&BandSource>,
     options: &OpticsOptions,
-) -> Result<(MediumSource, OpticsReport, Vec<String>), SceneError> {
+) -> Result<Made, SceneError> {
     let text = std::fs::read_to_string(&source.scene).unwrap_or_default();
     let wrong = |problem: String| SceneError::Meaning {
         path: source.scene.clone(),
@@ -66,22 +75,45 @@ fn spectral(
         spray
     } else {
         let time = source.time_s.map_or(Time::Latest, Time::At);
-        import::read(&source.path, time, &ImportOptions::default()).map_err(unread)?
+        if !(source.length_unit_m.is_finite() && source.length_unit_m > 0.0) {
+            return Err(wrong(format!(
+                "[medium] length_unit_m is {}; it must be positive",
+                source.length_unit_m
+            )));
+        }
+        let wanted = ImportOptions {
+            fuel: source.fuel_field.clone(),
+            // The scene names the fuel anyway; its molar mass serves fields under names that tell none.
+            fuel_molar_mass_kg_mol: import::fuel_molar_mass(source.fuel_field.as_deref().unwrap_or_default())
+                .or_else(|| source.fuel_field.as_ref().and_then(|_| import::fuel_molar_mass(&source.fuel))),
+            length_unit_m: source.length_unit_m,
+            ..ImportOptions::default()
+        };
+        import::read(&source.path, time, &wanted).map_err(unread)?
     };
+    notes.extend(spray.notes.iter().map(|note| format!("spray: {note}")));
     let placement = placement(source).map_err(unread)?;
-    let spread = DepositOptions { cell_m: source.cell_m, placement, ..DepositOptions::default() };
-    let (field, report) = deposit::field(&spray, &spread).map_err(unread)?;
+    let sectors = match (source.sectors, source.axis) {
+        (1, _) => None,
+        (number, Some(axis)) => Some(Sectors { number, tip_m: source.tip_m.unwrap_or([0.0; 3]), axis }),
+        (_, None) => {
+            return Err(wrong("[medium] sectors needs axis: the spray is turned about it".to_owned()));
+        }
+    };
+    let spread = DepositOptions { cell_m: source.cell_m, sectors, placement, ..DepositOptions::default() };
+    let (field, deposit) = deposit::field(&spray, &spread).map_err(unread)?;
     notes.push(format!(
         "spray at {:.3e} s: {} cells of {:.3e} m, {} with droplets, {} with vapour; {} parcels outside, {} junk",
         spray.time_s,
-        report.cells,
-        report.cell_m[0],
-        report.droplet_cells,
-        report.vapour_cells,
-        report.outside_parcels,
-        report.junk_parcels
+        deposit.cells,
+        deposit.cell_m[0],
+        deposit.droplet_cells,
+        deposit.vapour_cells,
+        deposit.outside_parcels,
+        deposit.junk_parcels
     ));
-    let absorbers = Absorbers { liquid: report.droplet_cells > 0, vapour: report.vapour_cells > 0 };
+    notes.extend(noise(&deposit));
+    let absorbers = Absorbers { liquid: deposit.droplet_cells > 0, vapour: deposit.vapour_cells > 0 };
     let samples = samples(band, &fuel, absorbers, &mut notes).map_err(wrong)?;
     notes.extend(outside(&fuel, &samples));
     let sources = [Source::UNIT, Source::RADIANCE];
@@ -112,7 +144,29 @@ fn spectral(
         thin(&mut medium, &cuts);
         notes.push(told(&cuts.iter().collect::<Vec<_>>(), degrees));
     }
-    Ok((MediumSource::Spectral(Box::new(medium), samples), report, notes))
+    let medium = MediumSource::Spectral(Box::new(medium), samples);
+    Ok(Made { medium, optics: report, deposit, notes })
+}
+
+/// What the picture owes to the number of parcels.
+fn noise(report: &DepositReport) -> Vec<String> {
+    if report.droplet_cells == 0 {
+        return Vec::new();
+    }
+    let [x, y, z] = report.split_half;
+    let mut notes = vec![format!(
+        "parcels: the droplets' density rests on N_eff = {:.0} parcels in kernels of {:.2e} m; two halves of the parcels \
+         differ by {x:.3}, {y:.3}, {z:.3} in transmission seen along x, y, z, and the whole errs by half of that",
+        report.n_eff, report.kernel_m
+    )];
+    let worst = report.split_half.into_iter().fold(0.0, f64::max);
+    if worst > DepositOptions::default().noise_max {
+        notes.push(format!(
+            "parcels: there are too few for a quiet picture ({worst:.3} where {} is wanted): compute with more",
+            DepositOptions::default().noise_max
+        ));
+    }
+    notes
 }
 
 /// What the user should know when the band reaches beyond the table of the liquid.

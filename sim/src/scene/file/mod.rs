@@ -15,6 +15,7 @@ pub use band::{BandSource, Samples};
 pub use media::{CfdSource, MediumSource};
 pub use window::{WindowSource, Windows};
 
+use crate::scene::deposit::DepositReport;
 use crate::scene::optics::OpticsReport;
 use crate::tracer::camera::Camera;
 use crate::tracer::plate::{Plate, PlateShape};
@@ -90,6 +91,8 @@ pub struct Scene {
     pub notes: Vec<String>,
     /// How the coefficients of a spray were made; none for other media.
     pub optics: Option<OpticsReport>,
+    /// How a CFD spray was spread on the tracer's grid, once it is.
+    pub deposit: Option<DepositReport>,
 }
 
 /// The plate and its light.
@@ -160,8 +163,17 @@ impl Reader<'_> {
             .map(|m| self.medium(m, band.as_ref(), &mut notes))
             .collect::<Result<Vec<_>, _>>()?;
         let medium = self.superpose(media)?;
-        let mut scene =
-            Scene { camera, plate, walls, band, medium, windows: Windows::default(), notes, optics: None };
+        let mut scene = Scene {
+            camera,
+            plate,
+            walls,
+            band,
+            medium,
+            windows: Windows::default(),
+            notes,
+            optics: None,
+            deposit: None,
+        };
         scene.windows = self.windows(&tables.window, tables.lab.as_ref(), &scene)?;
         Ok(scene)
     }
