@@ -1,8 +1,6 @@
 //! Sprays on the tracer's grid: what the planes in the CFD's cells are worth, that walls and sectors lose nothing, and
 //! that columns are those of the reference.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly too")]
-
 use ditd_sim::scene::compact;
 use ditd_sim::scene::deposit::{self, DepositOptions, Sectors};
 use ditd_sim::scene::field::{CfdSpray, GasCell, Parcel, SprayField};

@@ -144,24 +144,20 @@ impl Places {
     fn slopes(&self, pieces: &[GasPiece], piece: &GasPiece, beyond: Option<[f64; 2]>) -> [[f64; 3]; 2] {
         let edge: [f64; 3] = std::array::from_fn(|a| piece.upper_m[a] - piece.lower_m[a]);
         let own = [piece.vapour_mol_m3, piece.temperature_k];
-        let mut slopes = [[0.0; 3]; 2];
-        for axis in 0..3 {
+        let (mut vapour, mut temperature) = ([0.0; 3], [0.0; 3]);
+        for (axis, (vapour, temperature)) in vapour.iter_mut().zip(&mut temperature).enumerate() {
             let sides = [-1.0, 1.0].map(|side| self.beside(pieces, piece, axis, side, beyond));
             if let [Some((back_m, back)), Some((fore_m, fore))] = sides {
-                for quantity in 0..2 {
-                    slopes[quantity][axis] = limited(
-                        (own[quantity] - back[quantity]) / back_m,
-                        (fore[quantity] - own[quantity]) / fore_m,
-                    );
-                }
+                let slope = |i: usize| limited((own[i] - back[i]) / back_m, (fore[i] - own[i]) / fore_m);
+                (*vapour, *temperature) = (slope(0), slope(1));
             }
         }
         // Nowhere below zero.
-        let fall: f64 = (0..3).map(|a| 0.5 * edge[a] * slopes[0][a].abs()).sum();
+        let fall: f64 = edge.iter().zip(vapour).map(|(edge, slope)| 0.5 * edge * f64::abs(slope)).sum();
         if fall > own[0] {
-            slopes[0] = slopes[0].map(|s| s * own[0] / fall);
+            vapour = vapour.map(|s| s * own[0] / fall);
         }
-        slopes
+        [vapour, temperature]
     }
 
     /// Mean distance along an axis, and mean vapour and temperature, of the cells beyond a face: four places a quarter

@@ -129,7 +129,7 @@ impl FoamFile {
         let bytes = file.bytes[own.clone()].to_vec();
         // A processor without parcels has nothing in its block.
         let is_empty = bytes.iter().all(u8::is_ascii_whitespace);
-        Ok((!is_empty).then(|| Self { bytes, body: 0, origin: own.start, ..head }))
+        Ok((!is_empty).then_some(Self { bytes, body: 0, origin: own.start, ..head }))
     }
 
     fn of(path: &Path, bytes: Vec<u8>, origin: usize) -> Self {
