@@ -140,7 +140,7 @@ pub fn smoothness(spray: &CfdSpray, options: &DepositOptions) -> Result<Option<S
 ///
 /// Droplets: each parcel's number is shared among cells by a quadratic B-spline along each axis, as wide as its
 /// neighbourhood needs; the shares of a parcel sum to 1. Vapour: a plane in each CFD cell, as steep as its neighbours
-/// allow and nowhere below zero, integrated exactly over each overlap, so that each CFD cell keeps its vapour. Gas
+/// allow and nowhere below zero (level on a grid no finer than the CFD), integrated exactly over each overlap, so that each CFD cell keeps its vapour. Gas
 /// temperature: likewise a plane; weighted with the vapour where there is vapour, else with the mass; where no CFD cell
 /// is known, the mean of the cells left out, or the liquid's temperature.
 ///
@@ -158,6 +158,10 @@ pub fn field(spray: &CfdSpray, options: &DepositOptions) -> Result<(SprayField, 
         ));
     }
     let mut gas = slopes::pieces(spray, options.vapour_min_mol_m3);
+    // A grid no finer than the CFD shows no blocks of it, and has the columns of its cells as they are.
+    if options.cell_m.is_some_and(|size_m| size_m >= resolution_m(spray)) {
+        gas.flatten();
+    }
     let mut parcels = Cow::Borrowed(all);
     let mut walls = spray.domain_m;
     if let Some(sectors) = &options.sectors {

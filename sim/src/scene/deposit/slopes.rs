@@ -36,6 +36,15 @@ pub(super) struct Pieces {
     pub(super) left_out_mol: f64,
 }
 
+impl Pieces {
+    /// Makes all planes level.
+    pub(super) fn flatten(&mut self) {
+        for piece in &mut self.pieces {
+            (piece.vapour_slope, piece.temperature_slope) = ([0.0; 3], [0.0; 3]);
+        }
+    }
+}
+
 /// Makes pieces of the gas cells; cells with at most `vapour_min_mol_m3` have no vapour.
 pub(super) fn pieces(spray: &CfdSpray, vapour_min_mol_m3: f64) -> Pieces {
     let cells = spray.cells.as_deref().unwrap_or_default();
