@@ -2,8 +2,10 @@
 
 use super::{CommandError, CommandResult};
 use ditd_sim::scene::compact;
+use ditd_sim::scene::deposit::{self, DepositOptions, Smoothness};
 use ditd_sim::scene::field::{CfdSpray, Totals};
 use ditd_sim::scene::import::{self, ImportOptions, SceneError, Time};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `ditd import`.
@@ -56,20 +58,39 @@ pub fn run(args: Args) -> CommandResult {
         )));
     }
     let mut totals = Vec::new();
+    let mut smooth = Vec::new();
+    let mut told = BTreeSet::new();
     for &time in &times {
         let spray = import::read(&args.path, Time::At(time), &options).map_err(ended)?;
         if let Some(file) = &args.write {
             write(&spray, file)?;
         }
+        for note in &spray.notes {
+            // The same for all times as a rule.
+            if told.insert(note.clone()) {
+                eprintln!("ditd: {note}");
+            }
+        }
         totals.push(spray.totals());
+        smooth.push(deposit::smoothness(&spray, &DepositOptions::default()).map_err(ended)?);
     }
     let text = if args.json {
-        let json = serde_json::json!({ "times": totals });
+        let times: Vec<_> = totals.iter().zip(&smooth).map(|(t, s)| entry(t, s.as_ref())).collect();
+        let json = serde_json::json!({ "times": times });
         serde_json::to_string_pretty(&json).map_err(|e| CommandError::failure(e.to_string()))? + "\n"
     } else {
-        table(&totals)
+        table(&totals) + &noise_table(&smooth)
     };
     super::print(&text)
+}
+
+/// A time's totals, and what the picture of its droplets will rest on; null without droplets.
+fn entry(totals: &Totals, smooth: Option<&Smoothness>) -> serde_json::Value {
+    let mut entry = serde_json::json!(totals);
+    entry["kernel_n_eff"] = serde_json::json!(smooth.map(|s| s.n_eff));
+    entry["kernel_m"] = serde_json::json!(smooth.map(|s| s.kernel_m));
+    entry["split_half"] = serde_json::json!(smooth.map(|s| s.split_half));
+    entry
 }
 
 fn chosen(path: &Path, asked: &str) -> Result<Vec<f64>, CommandError> {
@@ -141,7 +162,19 @@ fn table(totals: &[Totals]) -> String {
     text
 }
 
-fn row(text: &mut String, name: &str, totals: &[Totals], value: impl Fn(&Totals) -> Option<f64>) {
+/// How the droplets will be smoothed, and the difference of two halves of the parcels in transmission.
+fn noise_table(smooth: &[Option<Smoothness>]) -> String {
+    let mut text = String::new();
+    let of = |value: fn(&Smoothness) -> f64| move |s: &Option<Smoothness>| s.as_ref().map(value);
+    row(&mut text, "kernel mm", smooth, of(|s| 1e3 * s.kernel_m));
+    row(&mut text, "N_eff of kernels", smooth, of(|s| s.n_eff));
+    row(&mut text, "halves differ along x", smooth, of(|s| s.split_half[0]));
+    row(&mut text, "halves differ along y", smooth, of(|s| s.split_half[1]));
+    row(&mut text, "halves differ along z", smooth, of(|s| s.split_half[2]));
+    text
+}
+
+fn row<T>(text: &mut String, name: &str, totals: &[T], value: impl Fn(&T) -> Option<f64>) {
     let padding = 22_usize.saturating_sub(name.chars().count());
     text.push_str(name);
     text.push_str(&" ".repeat(padding));
@@ -194,8 +227,12 @@ mod tests {
     fn every_key_is_there_and_null_where_the_form_lacks_it() {
         let mut spray = compact::shipped().unwrap();
         spray.cells = None;
-        let json = serde_json::to_value(spray.totals()).unwrap();
+        let smooth = deposit::smoothness(&spray, &DepositOptions::default()).unwrap();
+        let json = entry(&spray.totals(), smooth.as_ref());
         let keys = [
+            "kernel_n_eff",
+            "kernel_m",
+            "split_half",
             "time_s",
             "parcels",
             "junk_parcels",

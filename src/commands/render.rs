@@ -2,6 +2,7 @@
 
 use super::{CommandError, CommandResult};
 use crate::files::preview::{self, Colours, Preview};
+use ditd_sim::scene::deposit::DepositReport;
 use ditd_sim::scene::file::{self, BandSource, MediumSource, Scene};
 use ditd_sim::scene::lights::{Lights, Share};
 use ditd_sim::scene::optics::{OpticsOptions, OpticsReport, Work};
@@ -288,6 +289,7 @@ fn image(mut scene: Scene, args: &Args) -> CommandResult {
         pixel_by_pixel(&scene, &camera, target, args.seed)?
     };
     stats.extend(scene.optics.iter().flat_map(optics_stats));
+    stats.extend(scene.deposit.iter().flat_map(deposit_stats));
     let columns = Columns::new(&scene, args.groups);
     let mut images = Images { channels: channels(&columns, &shares), stats };
     let mut pictures = Vec::new();
@@ -418,6 +420,32 @@ fn optics_stats(report: &OpticsReport) -> Vec<(String, f64)> {
         stats.push((format!("skipped_{}_error", work.name()), error));
     }
     stats
+}
+
+/// How the spray was spread on the grid: what got lost, and how much of the picture is parcel noise.
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
+fn deposit_stats(report: &DepositReport) -> Vec<(String, f64)> {
+    let [x, y, z] = report.split_half;
+    let stats = [
+        ("spray_cell_m", report.cell_m[0]),
+        ("spray_droplet_cells", report.droplet_cells as f64),
+        ("spray_vapour_cells", report.vapour_cells as f64),
+        ("spray_droplets", report.droplets),
+        ("spray_outside_droplets", report.outside_droplets),
+        ("spray_outside_parcels", report.outside_parcels as f64),
+        ("spray_junk_parcels", report.junk_parcels as f64),
+        ("spray_droplet_error", report.droplet_error),
+        ("spray_vapour_mol", report.vapour_mol),
+        ("spray_outside_vapour_mol", report.outside_vapour_mol),
+        ("spray_vapour_error", report.vapour_error),
+        ("n_eff", report.n_eff),
+        ("n_eff_short", report.n_eff_short),
+        ("kernel_m", report.kernel_m),
+        ("split_half_x", x),
+        ("split_half_y", y),
+        ("split_half_z", z),
+    ];
+    stats.map(|(name, value)| (name.to_owned(), value)).to_vec()
 }
 
 /// Shares of every pixel and group, and what was done.

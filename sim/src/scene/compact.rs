@@ -167,6 +167,7 @@ pub fn unpack(bytes: &[u8], file: &Path) -> Result<CfdSpray, SceneError> {
         fuel: head.fuel,
         fuel_molar_mass_kg_mol: head.fuel_molar_mass_kg_mol.unwrap_or(f64::NAN),
         carrier_molar_mass_kg_mol: head.carrier_molar_mass_kg_mol,
+        notes: Vec::new(),
     })
 }
 

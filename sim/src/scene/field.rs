@@ -178,11 +178,13 @@ pub struct CfdSpray {
     pub fuel_molar_mass_kg_mol: f64,
     /// Molar mass of the other gas in kg/mol.
     pub carrier_molar_mass_kg_mol: f64,
+    /// What the reader of the files thinks the user should know; not kept in the compact form.
+    pub notes: Vec<String>,
 }
 
 /// Sums over a spray, as printed by `ditd import`; `None` where the form lacks what is needed.
 ///
-/// All parcels are counted, junk included.
+/// All parcels are counted, junk included; those whose numbers are not finite or negative are in no other sum.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Totals {
     /// Time in seconds.
@@ -261,17 +263,25 @@ impl CfdSpray {
             t_gas_vapour_mean_k: None,
             n_eff: None,
         };
-        let Some(parcels) = &self.parcels else { return totals };
+        let Some(all) = &self.parcels else { return totals };
+        totals.parcels = Some(all.len() as u64);
+        totals.junk_parcels = Some(junk(all).iter().filter(|&&is_junk| is_junk).count() as u64);
+        // What is no number can be counted but not summed.
+        let is_sound = |p: &Parcel| {
+            [p.diameter_m, p.temperature_k, p.droplets].iter().all(|v| v.is_finite() && *v >= 0.0)
+        };
+        let parcels: Vec<Parcel> = all.iter().filter(|p| is_sound(p)).copied().collect();
+        let density: Option<Vec<f64>> = self
+            .liquid_density_kg_m3
+            .as_ref()
+            .map(|rho| rho.iter().zip(all).filter(|(_, p)| is_sound(p)).map(|(rho, _)| *rho).collect());
         let sum = |value: &dyn Fn(&Parcel) -> f64| parcels.iter().map(value).sum::<f64>();
         let droplets = sum(&|p| p.droplets);
         let area = sum(&Parcel::area_m2);
         let volume = sum(&Parcel::volume_m3);
-        totals.parcels = Some(parcels.len() as u64);
-        totals.junk_parcels = Some(junk(parcels).iter().filter(|&&is_junk| is_junk).count() as u64);
         totals.droplets = Some(droplets);
         totals.geometric_area_m2 = Some(area);
-        totals.liquid_mass_kg = self
-            .liquid_density_kg_m3
+        totals.liquid_mass_kg = density
             .as_ref()
             .map(|density| parcels.iter().zip(density).map(|(p, rho)| p.volume_m3() * rho).sum());
         if parcels.is_empty() {
@@ -285,14 +295,14 @@ impl CfdSpray {
         totals.d_max_um = Some(1e6 * d_max);
         totals.t_liquid_min_k = Some(t_min);
         totals.t_liquid_max_k = Some(t_max);
-        totals.t_liquid_mean_k = Some(match (&self.liquid_density_kg_m3, totals.liquid_mass_kg) {
+        totals.t_liquid_mean_k = Some(match (&density, totals.liquid_mass_kg) {
             (Some(density), Some(mass)) => {
                 parcels.iter().zip(density).map(|(p, rho)| p.volume_m3() * rho * p.temperature_k).sum::<f64>()
                     / mass
             }
             _ => sum(&|p| p.volume_m3() * p.temperature_k) / volume,
         });
-        totals.n_eff = Some(voxel_n_eff(parcels, 1e-3));
+        totals.n_eff = Some(voxel_n_eff(&parcels, 1e-3));
         totals
     }
 

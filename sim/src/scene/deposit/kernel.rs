@@ -10,8 +10,9 @@ use rayon::prelude::*;
 const STEPS: usize = 12;
 const FACTOR: f64 = 1.2;
 
-/// Shares below this are left to the others of the parcel: they would double the memory for 1 % of the droplets.
-const SHARE_MIN: f64 = 2e-4;
+/// Shares below this part of a parcel's largest are left to the others: they would double the memory for 1 % of the
+/// droplets.
+const SHARE_MIN: f64 = 2e-3;
 
 /// Integral of the quadratic B-spline of width 1 from −∞ to `x`; it is 0 below −3/2 and 1 above 3/2.
 pub(super) fn spline_integral(x: f64) -> f64 {
@@ -38,29 +39,41 @@ fn spline(x: f64) -> f64 {
     }
 }
 
-/// Width of each parcel's spline in metres, and the N_eff = (Σ a K)² / Σ (a K)² reached there, a the droplet area.
-///
-/// The smallest width of `width_min_m` · 1.2^k, at most `width_max_m`, that reaches `n_eff`.
-pub(super) fn widths(parcels: &[Parcel], n_eff: f64, width_min_m: f64, width_max_m: f64) -> Vec<(f64, f64)> {
-    if parcels.is_empty() {
-        return Vec::new();
+/// Finds kernels for a cloud.
+pub(super) struct Widths {
+    bins: Bins,
+    min_m: f64,
+    max_m: f64,
+}
+
+impl Widths {
+    /// Kernels between two widths.
+    pub(super) fn new(parcels: &[Parcel], min_m: f64, max_m: f64) -> Self {
+        Self { bins: Bins::new(parcels, max_m.min(1.5 * min_m).max(min_m)), min_m, max_m }
     }
-    let bins = Bins::new(parcels, width_max_m.min(1.5 * width_min_m).max(width_min_m));
-    parcels
-        .par_iter()
-        .map(|parcel| {
-            let mut width = width_min_m;
-            let mut reached = bins.n_eff(parcel.position_m, width);
-            for _ in 0..STEPS {
-                if reached >= n_eff || width >= width_max_m {
-                    break;
+
+    /// Width of each parcel's spline in metres, and the N_eff = (Σ a K)² / Σ (a K)² reached there, a the droplet area.
+    ///
+    /// The smallest width of min · 1.2^k, at most max, that reaches `n_eff`; `before`, empty or found for a smaller
+    /// N_eff, is where the search goes on.
+    pub(super) fn find(&self, parcels: &[Parcel], n_eff: f64, before: &[(f64, f64)]) -> Vec<(f64, f64)> {
+        (0..parcels.len())
+            .into_par_iter()
+            .map(|i| {
+                let n_eff_at = |width: f64| self.bins.n_eff(parcels[i].position_m, width);
+                let (mut width, mut reached) =
+                    before.get(i).copied().unwrap_or_else(|| (self.min_m, n_eff_at(self.min_m)));
+                for _ in 0..STEPS {
+                    if reached >= n_eff || width >= self.max_m {
+                        break;
+                    }
+                    width = (width * FACTOR).min(self.max_m);
+                    reached = n_eff_at(width);
                 }
-                width = (width * FACTOR).min(width_max_m);
-                reached = bins.n_eff(parcel.position_m, width);
-            }
-            (width, reached)
-        })
-        .collect()
+                (width, reached)
+            })
+            .collect()
+    }
 }
 
 /// The cells that a parcel goes to, and the share each gets; the shares sum to 1.
@@ -82,13 +95,14 @@ pub(super) fn shares(
         let edge = |i: usize| spline_integral((i as f64 - place) / width);
         (first, (first..=last).map(|i| edge(i + 1) - edge(i)).collect())
     });
+    let largest: f64 = along.iter().map(|a| a.1.iter().copied().fold(0.0, f64::max)).product();
     let mut shares = Vec::new();
     let mut sum = 0.0;
     for (x, share_x) in along[0].1.iter().enumerate() {
         for (y, share_y) in along[1].1.iter().enumerate() {
             for (z, share_z) in along[2].1.iter().enumerate() {
                 let share = share_x * share_y * share_z;
-                if share < SHARE_MIN {
+                if share < SHARE_MIN * largest {
                     continue;
                 }
                 let cell = grid.linear([along[0].0 + x, along[1].0 + y, along[2].0 + z]);
@@ -137,6 +151,10 @@ const BINS_MAX: usize = 128;
 
 impl Bins {
     fn new(parcels: &[Parcel], size_m: f64) -> Self {
+        if parcels.is_empty() {
+            let grid = Grid { lower_m: [0.0; 3], upper_m: [1.0; 3], cells: [1; 3] };
+            return Self { grid, start: vec![0; 2], parcels: Vec::new() };
+        }
         let mut lower_m = [f64::INFINITY; 3];
         let mut upper_m = [f64::NEG_INFINITY; 3];
         for parcel in parcels {
@@ -230,7 +248,7 @@ mod tests {
             parcels.push(Parcel { position_m: at, diameter_m: 1e-5, temperature_k: 380.0, droplets: 100.0 });
         }
         let middle = 10 * 400 + 10 * 20 + 10;
-        let (width, n_eff) = widths(&parcels, 30.0, 0.5e-3, 5e-3)[middle];
+        let (width, n_eff) = Widths::new(&parcels, 0.5e-3, 5e-3).find(&parcels, 30.0, &[])[middle];
         assert!(n_eff >= 30.0);
         let expected = 8e9 * width.powi(3) / 0.55_f64.powi(3);
         assert!((n_eff / expected - 1.0).abs() < 0.1, "{n_eff} against {expected}");

@@ -1,16 +1,19 @@
-//! Spreads a CFD spray on a uniform grid: droplets by kernels, vapour by overlap, nothing lost unsaid.
+//! Spreads a CFD spray on a uniform grid: droplets by kernels, vapour by planes in the CFD's cells, nothing lost unsaid.
 //!
 //! Knows nothing of wavelengths: the grid keeps, per cell, which parcels' droplets are there and how many.
 
+mod grid;
 mod kernel;
 mod noise;
 mod placement;
+mod slopes;
 mod vapour;
 
-pub use placement::{Move, Placement};
+pub use placement::{Move, Placement, Sectors};
 
-use super::field::{CfdSpray, Gas, GasCell, Grid, Parcel, SprayField, junk};
+use super::field::{CfdSpray, Gas, Grid, Parcel, SprayField, junk};
 use super::import::SceneError;
+use grid::Contents;
 use kernel::narrow;
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -25,35 +28,41 @@ type Bounds = [[f64; 3]; 2];
 /// How a spray is spread.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepositOptions {
-    /// Edge of a grid cell in metres; `None`: that of the CFD cells where the vapour is (their mean, weighted
-    /// with the vapour), or 1 mm for a spray without gas.
+    /// Largest edge of a grid cell in metres; `None`: as fine as about 2 · 10⁵ occupied cells allow, between a quarter
+    /// and the whole of the edge of the CFD cells where the vapour is (their mean, weighted with the vapour; 1 mm for
+    /// a spray without gas).
     pub cell_m: Option<f64>,
     /// Parcels on which the local density must rest, (Σ a)² / Σ a² with a the droplet area.
     pub n_eff: f64,
-    /// Largest width of a kernel in units of the cell's edge; where parcels are rarer, N_eff stays lower.
+    /// Difference of two halves of the parcels that is admitted, see [`DepositReport::split_half`]: where it is
+    /// larger, `n_eff` is raised.
+    pub noise_max: f64,
+    /// Largest width of a kernel in units of the edge of the CFD's cells; where parcels are rarer, N_eff stays lower.
+    /// The smallest is one edge (of the grid's cells, if those are asked to be larger): the CFD knows nothing finer.
     pub kernel_max: f64,
-    /// Vapour below this concentration is left out, in mol/m³. The default 1e-5 is an optical depth of 4e-5 over
-    /// 0.1 m at the strongest line of a C–H band (40 m²/mol).
+    /// Vapour below this concentration is left out, in mol/m³. The default 1e-4 is an optical depth of 2e-4 over
+    /// 50 mm at the strongest line of a C–H band (40 m²/mol).
     pub vapour_min_mol_m3: f64,
+    /// A sector of a symmetric spray is made whole; `None`: the spray is whole.
+    pub sectors: Option<Sectors>,
     /// Where the spray is put; `None`: as it is.
     pub placement: Option<Placement>,
     /// Only this part of the scene, in metres; `None`: all. What lies beyond is reported as outside.
     pub region_m: Option<[[f64; 3]; 2]>,
-    /// Seed of the split into random halves.
-    pub seed: u64,
 }
 
 impl Default for DepositOptions {
-    /// Cells as the CFD's, N_eff 30, the whole spray as it is.
+    /// As fine as is rendered in seconds, N_eff 30 or more, the whole spray as it is.
     fn default() -> Self {
         Self {
             cell_m: None,
             n_eff: 30.0,
+            noise_max: 0.045,
             kernel_max: 4.0,
-            vapour_min_mol_m3: 1e-5,
+            vapour_min_mol_m3: 1e-4,
+            sectors: None,
             placement: None,
             region_m: None,
-            seed: 1,
         }
     }
 }
@@ -89,22 +98,51 @@ pub struct DepositReport {
     pub vapour_error: f64,
     /// Mean N_eff reached by the kernels, weighted with droplet area.
     pub n_eff: f64,
-    /// Share of the droplet area where N_eff is below what was asked.
+    /// N_eff wanted in the end: that of the options, or more where the noise asked for it.
+    pub n_eff_wanted: f64,
+    /// Share of the droplet area where N_eff is below that of the options.
     pub n_eff_short: f64,
     /// Mean kernel width in metres, weighted with droplet area; the standard deviation is half of it.
     pub kernel_m: f64,
     /// Parcel noise seen along x, y, z: rms difference of the transmission (geometric extinction) of two random
-    /// halves of the parcels, doubled, over columns with an optical depth above 0.05. The whole's own noise is
-    /// half of it. Raw parcels in 0.25 mm pixels have 0.22 to 0.29.
+    /// halves of the parcels, doubled, over pixels of 0.25 mm with an optical depth above 0.3, expected over all halves. The whole's own noise is
+    /// half of it. Raw parcels have 0.22 to 0.29.
     pub split_half: [f64; 3],
+}
+
+/// How many parcels the droplets' density rests on, and how noisy it is.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Smoothness {
+    /// As in [`DepositReport::n_eff`].
+    pub n_eff: f64,
+    /// As in [`DepositReport::kernel_m`].
+    pub kernel_m: f64,
+    /// As in [`DepositReport::split_half`].
+    pub split_half: [f64; 3],
+}
+
+/// What [`field`] would report of the kernels, without spreading anything; `None` without droplets.
+///
+/// # Errors
+///
+/// [`SceneError::Deposit`] if an option is out of range.
+pub fn smoothness(spray: &CfdSpray, options: &DepositOptions) -> Result<Option<Smoothness>, SceneError> {
+    check(options)?;
+    let sorted = sort_parcels(spray.parcels.as_deref().unwrap_or_default(), spray.domain_m);
+    if sorted.inside.is_empty() {
+        return Ok(None);
+    }
+    let kernels = Kernels::choose(&sorted.inside, options, width_min_m(spray, options));
+    Ok(Some(kernels.smoothness(&sorted.inside)))
 }
 
 /// Spreads a spray on a grid.
 ///
 /// Droplets: each parcel's number is shared among cells by a quadratic B-spline along each axis, as wide as its
-/// neighbourhood needs; the shares of a parcel sum to 1. Vapour: by exact overlap of boxes. Gas temperature:
-/// weighted with the vapour where there is vapour, else with the mass; where no CFD cell is known, the mean of
-/// the cells left out, or the liquid's temperature.
+/// neighbourhood needs; the shares of a parcel sum to 1. Vapour: a plane in each CFD cell, as steep as its neighbours
+/// allow and nowhere below zero (level on a grid no finer than the CFD), integrated exactly over each overlap, so that each CFD cell keeps its vapour. Gas
+/// temperature: likewise a plane; weighted with the vapour where there is vapour, else with the mass; where no CFD cell
+/// is known, the mean of the cells left out, or the liquid's temperature.
 ///
 /// # Errors
 ///
@@ -112,62 +150,137 @@ pub struct DepositReport {
 /// more than [`CELLS_MAX`] cells.
 pub fn field(spray: &CfdSpray, options: &DepositOptions) -> Result<(SprayField, DepositReport), SceneError> {
     check(options)?;
-    let placed = match &options.placement {
-        Some(placement) => Cow::Owned(placement.apply(spray, options.vapour_min_mol_m3)),
-        None => Cow::Borrowed(spray),
-    };
-    let all = placed.parcels.as_deref().unwrap_or_default();
-    let gas_cells = placed.cells.as_deref().unwrap_or_default();
-    if all.is_empty() && gas_cells.is_empty() {
+    let all = spray.parcels.as_deref().unwrap_or_default();
+    if all.is_empty() && spray.cells.as_ref().is_none_or(Vec::is_empty) {
         return Err(refuse(
             "there are neither parcels nor gas cells",
             "Choose a time after the injection began",
         ));
     }
-    let size_m = options.cell_m.unwrap_or_else(|| local_cell_m(gas_cells));
-    let bounds = intersect(placed.domain_m, options.region_m);
-    let sorted = sort_parcels(all, bounds);
-    let widths = kernel::widths(&sorted.inside, options.n_eff, size_m, options.kernel_max.max(1.0) * size_m);
-    let grid = choose_grid(&placed, &sorted.inside, &widths, options, size_m, bounds)?;
-    let spread = vapour::spread(&grid, gas_cells, placed.fuel_molar_mass_kg_mol, options.vapour_min_mol_m3);
+    let mut gas = slopes::pieces(spray, options.vapour_min_mol_m3);
+    // A grid no finer than the CFD shows no blocks of it, and has the columns of its cells as they are.
+    if options.cell_m.is_some_and(|size_m| size_m >= resolution_m(spray)) {
+        gas.flatten();
+    }
+    let mut parcels = Cow::Borrowed(all);
+    let mut walls = spray.domain_m;
+    if let Some(sectors) = &options.sectors {
+        let turns = sectors.turns()?;
+        gas.pieces = turns.iter().flat_map(|turn| turn.pieces(&gas.pieces)).collect();
+        gas.total_mol *= turns.len() as f64;
+        gas.left_out_mol *= turns.len() as f64;
+        parcels = Cow::Owned(turns.iter().flat_map(|turn| turn.parcels(all)).collect());
+        // The box of a sector says nothing of the whole.
+        walls = None;
+    }
+    if let Some(placement) = &options.placement {
+        gas.pieces = placement.pieces(&gas.pieces);
+        parcels = Cow::Owned(placement.parcels(&parcels));
+        walls = walls.and_then(|walls| placement.walls(walls));
+    }
+    let bounds = intersect(walls, options.region_m);
+    let sorted = sort_parcels(&parcels, bounds);
+    let kernels = Kernels::choose(&sorted.inside, options, width_min_m(spray, options));
+    let contents = Contents { pieces: &gas.pieces, parcels: &sorted.inside, widths: &kernels.widths };
+    let grid = match options.cell_m {
+        Some(size_m) => grid::of_size(&contents, size_m, bounds)?,
+        None => grid::automatic(spray, &contents, resolution_m(spray), bounds)?,
+    };
+    let spread = vapour::spread(&grid, &gas);
     // Cells that no CFD cell fills are walls, if all CFD cells are known and there are any.
-    let walls_known = placed.domain_m.is_some() && placed.remainder.is_none();
+    let walls_known = walls.is_some() && spray.remainder.is_none();
     let open = |cell: usize| !walls_known || spread.sums[cell].filled_m3 > 0.0;
     let shares: Vec<Vec<(u32, f64)>> = sorted
         .inside
         .par_iter()
-        .zip(&widths)
+        .zip(&kernels.widths)
         .map(|(parcel, width)| kernel::shares(&grid, parcel.position_m, width.0, &open))
         .collect();
     let droplet_error =
         shares.iter().map(|list| (list.iter().map(|s| s.1).sum::<f64>() - 1.0).abs()).fold(0.0, f64::max);
     let field =
-        assemble(grid, &sorted.inside, &shares, &spread, placed.remainder.map(|r| r.temperature_mean_k));
-    let mut report = DepositReport {
+        assemble(grid, &sorted.inside, &shares, &spread, spray.remainder.map(|r| r.temperature_mean_k));
+    let smooth = kernels.smoothness(&sorted.inside);
+    let report = DepositReport {
         droplets: sorted.inside.iter().map(|p| p.droplets).sum(),
         outside_droplets: sorted.outside_droplets,
         outside_parcels: sorted.outside_parcels,
         junk_parcels: sorted.junk_parcels,
         junk_area_share: sorted.junk_area_share,
         droplet_error,
+        n_eff: smooth.n_eff,
+        n_eff_wanted: kernels.wanted,
+        n_eff_short: kernels.mean(&sorted.inside, &|w| f64::from(u8::from(w.1 < options.n_eff))),
+        kernel_m: smooth.kernel_m,
+        split_half: smooth.split_half,
         ..gas_report(&field, &spread)
     };
-    let area: f64 = sorted.inside.iter().map(Parcel::area_m2).sum();
-    let mean = |value: &dyn Fn(&(f64, f64)) -> f64| {
-        let sum: f64 = sorted.inside.iter().zip(&widths).map(|(p, w)| p.area_m2() * value(w)).sum();
-        if area > 0.0 { sum / area } else { 0.0 }
-    };
-    report.n_eff = mean(&|w| w.1);
-    report.n_eff_short = mean(&|w| f64::from(u8::from(w.1 < options.n_eff)));
-    report.kernel_m = mean(&|w| w.0);
-    report.split_half = noise::split_half(&field, options.seed);
     Ok((field, report))
+}
+
+fn resolution_m(spray: &CfdSpray) -> f64 {
+    grid::resolution_m(spray.cells.as_deref().unwrap_or_default())
+}
+
+fn width_min_m(spray: &CfdSpray, options: &DepositOptions) -> f64 {
+    resolution_m(spray).max(options.cell_m.unwrap_or(0.0))
+}
+
+/// Rounds of widening kernels until the noise is as asked.
+const ROUNDS: usize = 6;
+
+/// Kernels of the parcels.
+struct Kernels {
+    /// Width in metres and N_eff of each parcel.
+    widths: Vec<(f64, f64)>,
+    wanted: f64,
+    split_half: [f64; 3],
+}
+
+impl Kernels {
+    /// The narrowest kernels that rest on enough parcels and are quiet enough.
+    fn choose(parcels: &[Parcel], options: &DepositOptions, width_min_m: f64) -> Self {
+        let width_max_m = options.kernel_max.max(1.0) * width_min_m;
+        let search = kernel::Widths::new(parcels, width_min_m, width_max_m);
+        let mut wanted = options.n_eff;
+        let mut widths = Vec::new();
+        for round in 1.. {
+            widths = search.find(parcels, wanted, &widths);
+            let split_half = noise::split_half(parcels, &widths);
+            let worst = split_half.into_iter().fold(0.0, f64::max);
+            let widest = widths.iter().all(|w| w.0 >= width_max_m);
+            if worst <= options.noise_max || widest || round == ROUNDS {
+                return Self { widths, wanted, split_half };
+            }
+            // Its square goes with the number of parcels that a column rests on, which goes slower than that of a
+            // volume.
+            let reached = widths.iter().map(|w| w.1).fold(f64::INFINITY, f64::min).max(wanted);
+            wanted = reached * (worst / options.noise_max).powi(3).clamp(1.1, 3.0);
+        }
+        unreachable!("the last round returns")
+    }
+
+    /// Mean over the parcels, weighted with droplet area.
+    fn mean(&self, parcels: &[Parcel], value: &dyn Fn(&(f64, f64)) -> f64) -> f64 {
+        let area: f64 = parcels.iter().map(Parcel::area_m2).sum();
+        let sum: f64 = parcels.iter().zip(&self.widths).map(|(p, w)| p.area_m2() * value(w)).sum();
+        if area > 0.0 { sum / area } else { 0.0 }
+    }
+
+    fn smoothness(&self, parcels: &[Parcel]) -> Smoothness {
+        Smoothness {
+            n_eff: self.mean(parcels, &|w| w.1),
+            kernel_m: self.mean(parcels, &|w| w.0),
+            split_half: self.split_half,
+        }
+    }
 }
 
 fn check(options: &DepositOptions) -> Result<(), SceneError> {
     let positive = |v: f64| v.is_finite() && v > 0.0;
     let good = options.cell_m.is_none_or(positive)
         && options.n_eff.is_finite()
+        && positive(options.noise_max)
         && positive(options.kernel_max)
         && options.vapour_min_mol_m3 >= 0.0;
     if good {
@@ -179,13 +292,6 @@ fn check(options: &DepositOptions) -> Result<(), SceneError> {
 
 fn refuse(why: impl Into<String>, hint: &str) -> SceneError {
     SceneError::Deposit { why: why.into(), hint: hint.into() }
-}
-
-/// Mean edge of the CFD cells, weighted with their vapour, between 0.1 and 5 mm; 1 mm without vapour.
-fn local_cell_m(cells: &[GasCell]) -> f64 {
-    let vapour: f64 = cells.iter().map(GasCell::vapour_kg).sum();
-    let edges: f64 = cells.iter().map(|c| c.vapour_kg() * c.volume_m3().cbrt()).sum();
-    if vapour > 0.0 { (edges / vapour).clamp(1e-4, 5e-3) } else { 1e-3 }
 }
 
 fn intersect(one: Option<Bounds>, other: Option<Bounds>) -> Option<Bounds> {
@@ -235,50 +341,6 @@ fn sort_parcels(parcels: &[Parcel], bounds: Option<Bounds>) -> Sorted {
         }
     }
     sorted
-}
-
-/// The bounding box of vapour and kernels, within walls and region, cut into cells of at most the wanted size.
-fn choose_grid(
-    spray: &CfdSpray,
-    parcels: &[Parcel],
-    widths: &[(f64, f64)],
-    options: &DepositOptions,
-    size_m: f64,
-    bounds: Option<Bounds>,
-) -> Result<Grid, SceneError> {
-    let mut lower = [f64::INFINITY; 3];
-    let mut upper = [f64::NEG_INFINITY; 3];
-    let mut extend = |low: [f64; 3], high: [f64; 3]| {
-        for a in 0..3 {
-            lower[a] = lower[a].min(low[a]);
-            upper[a] = upper[a].max(high[a]);
-        }
-    };
-    for (parcel, (width, _)) in parcels.iter().zip(widths) {
-        extend(parcel.position_m.map(|x| x - 1.5 * width), parcel.position_m.map(|x| x + 1.5 * width));
-    }
-    for cell in spray.cells.iter().flatten() {
-        let moles = cell.density_kg_m3 * cell.fuel_mass_fraction / spray.fuel_molar_mass_kg_mol;
-        if moles > options.vapour_min_mol_m3 {
-            extend(cell.lower_m, cell.upper_m);
-        }
-    }
-    let Some([lower, upper]) = intersect(Some([lower, upper]), bounds) else {
-        return Err(refuse("there is nothing to spread", "Choose another time"));
-    };
-    if (0..3).any(|a| upper[a].partial_cmp(&lower[a]) != Some(std::cmp::Ordering::Greater)) {
-        return Err(refuse(
-            "no droplets and no vapour within the walls or the region",
-            "Check region and placement",
-        ));
-    }
-    let counts: [f64; 3] = std::array::from_fn(|a| ((upper[a] - lower[a]) / size_m - 1e-6).ceil().max(1.0));
-    let product: f64 = counts.iter().product();
-    if !product.is_finite() || product > CELLS_MAX as f64 {
-        let why = format!("cells of {size_m} m make a grid of {product:.3e} cells, more than {CELLS_MAX}");
-        return Err(refuse(why, "Take larger cells or a smaller region"));
-    }
-    Ok(Grid { lower_m: lower, upper_m: upper, cells: counts.map(|c| 1 + kernel::index(c - 1.0, CELLS_MAX)) })
 }
 
 fn assemble(
@@ -370,6 +432,7 @@ fn gas_report(field: &SprayField, spread: &Spread) -> DepositReport {
         outside_vapour_mol: spread.outside_mol,
         vapour_error: if spread.total_mol > 0.0 { difference / spread.total_mol } else { 0.0 },
         n_eff: 0.0,
+        n_eff_wanted: 0.0,
         n_eff_short: 0.0,
         kernel_m: 0.0,
         split_half: [0.0; 3],

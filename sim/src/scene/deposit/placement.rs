@@ -1,7 +1,8 @@
 //! Where the spray is put in the scene: injector tip and axis of the CFD mesh onto those of the scene.
 
-use super::super::field::{CfdSpray, GasCell};
+use super::super::field::Parcel;
 use super::super::import::SceneError;
+use super::slopes::GasPiece;
 
 /// Parts along each edge into which a cell is cut when it is turned out of the axes.
 const PARTS: usize = 3;
@@ -27,6 +28,40 @@ pub struct Move {
     pub scene_axis: [f64; 3],
     /// Turn about the axis in the scene, right-handed, in radians; it comes last.
     pub turn_rad: f64,
+}
+
+/// A spray that is one of several equal sectors about an axis, as vessels with cyclic walls are computed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sectors {
+    /// How many sectors make the whole; at least 1.
+    pub number: u32,
+    /// A place on the axis in the CFD mesh, in metres.
+    pub tip_m: [f64; 3],
+    /// Direction of the axis in the CFD mesh; any length but zero.
+    pub axis: [f64; 3],
+}
+
+/// Sectors at most: no injector has as many holes.
+const SECTORS_MAX: u32 = 64;
+
+impl Sectors {
+    /// The turns that make the whole of one sector, the first of them none.
+    pub(super) fn turns(&self) -> Result<Vec<Placement>, SceneError> {
+        if !(1..=SECTORS_MAX).contains(&self.number) {
+            return Err(refuse(&format!("{} sectors are not between 1 and {SECTORS_MAX}", self.number)));
+        }
+        (0..self.number)
+            .map(|turn| {
+                Placement::new(Move {
+                    tip_m: self.tip_m,
+                    axis: self.axis,
+                    scene_tip_m: self.tip_m,
+                    scene_axis: self.axis,
+                    turn_rad: std::f64::consts::TAU * f64::from(turn) / f64::from(self.number),
+                })
+            })
+            .collect()
+    }
 }
 
 impl Placement {
@@ -71,32 +106,39 @@ impl Placement {
         self.rotation.iter().flatten().all(|v| v.abs() < 1e-12 || (v.abs() - 1.0).abs() < 1e-12)
     }
 
-    /// The spray in the scene. Cells that stay boxes are moved exactly; others with more than
-    /// `vapour_min_mol_m3` of vapour are cut into 27 cubes of the same volume in all, the rest become one cube,
-    /// and the walls are forgotten.
-    pub(super) fn apply(&self, spray: &CfdSpray, vapour_min_mol_m3: f64) -> CfdSpray {
-        let mut placed = spray.clone();
-        for parcel in placed.parcels.iter_mut().flatten() {
-            parcel.position_m = self.point(parcel.position_m);
-        }
+    /// Parcels in the scene.
+    pub(super) fn parcels(&self, parcels: &[Parcel]) -> Vec<Parcel> {
+        parcels.iter().map(|p| Parcel { position_m: self.point(p.position_m), ..*p }).collect()
+    }
+
+    /// Gas in the scene. Pieces that stay boxes are moved exactly; others with vapour are cut into 27 cubes of the same
+    /// volume in all, the rest become one cube.
+    pub(super) fn pieces(&self, pieces: &[GasPiece]) -> Vec<GasPiece> {
         if self.keeps_boxes() {
-            for cell in placed.cells.iter_mut().flatten() {
-                [cell.lower_m, cell.upper_m] = self.moved_box(cell.lower_m, cell.upper_m);
-            }
-            placed.domain_m = spray.domain_m.map(|[lower, upper]| self.moved_box(lower, upper));
-            return placed;
-        }
-        placed.domain_m = None;
-        placed.cells = spray.cells.as_ref().map(|cells| {
-            cells
+            let turned = |slope: [f64; 3]| std::array::from_fn(|a| dot(self.rotation[a], slope));
+            return pieces
                 .iter()
-                .flat_map(|cell| {
-                    let moles = cell.density_kg_m3 * cell.fuel_mass_fraction / spray.fuel_molar_mass_kg_mol;
-                    self.cubes(cell, if moles > vapour_min_mol_m3 { PARTS } else { 1 })
+                .map(|piece| {
+                    let [lower_m, upper_m] = self.moved_box(piece.lower_m, piece.upper_m);
+                    GasPiece {
+                        lower_m,
+                        upper_m,
+                        temperature_slope: turned(piece.temperature_slope),
+                        vapour_slope: turned(piece.vapour_slope),
+                        ..*piece
+                    }
                 })
-                .collect()
-        });
-        placed
+                .collect();
+        }
+        pieces
+            .iter()
+            .flat_map(|piece| self.cubes(piece, if piece.vapour_mol_m3 > 0.0 { PARTS } else { 1 }))
+            .collect()
+    }
+
+    /// The walls in the scene; `None` where they do not lie along the axes.
+    pub(super) fn walls(&self, [lower, upper]: [[f64; 3]; 2]) -> Option<[[f64; 3]; 2]> {
+        self.keeps_boxes().then(|| self.moved_box(lower, upper))
     }
 
     fn moved_box(&self, lower: [f64; 3], upper: [f64; 3]) -> [[f64; 3]; 2] {
@@ -104,15 +146,26 @@ impl Placement {
         [std::array::from_fn(|i| a[i].min(b[i])), std::array::from_fn(|i| a[i].max(b[i]))]
     }
 
-    fn cubes(&self, cell: &GasCell, parts: usize) -> Vec<GasCell> {
-        let step: [f64; 3] = std::array::from_fn(|a| (cell.upper_m[a] - cell.lower_m[a]) / parts as f64);
+    /// Parts at places that lie evenly about the centre, so that the planes keep their means.
+    fn cubes(&self, piece: &GasPiece, parts: usize) -> Vec<GasPiece> {
+        let step: [f64; 3] = std::array::from_fn(|a| (piece.upper_m[a] - piece.lower_m[a]) / parts as f64);
         let half = 0.5 * step.iter().product::<f64>().cbrt();
         (0..parts.pow(3))
             .map(|i| {
                 let at = [i / (parts * parts), i / parts % parts, i % parts];
+                let off: [f64; 3] =
+                    std::array::from_fn(|a| (at[a] as f64 + 0.5 - 0.5 * parts as f64) * step[a]);
                 let centre =
-                    self.point(std::array::from_fn(|a| cell.lower_m[a] + (at[a] as f64 + 0.5) * step[a]));
-                GasCell { lower_m: centre.map(|c| c - half), upper_m: centre.map(|c| c + half), ..*cell }
+                    self.point(std::array::from_fn(|a| 0.5 * (piece.lower_m[a] + piece.upper_m[a]) + off[a]));
+                GasPiece {
+                    lower_m: centre.map(|c| c - half),
+                    upper_m: centre.map(|c| c + half),
+                    density_kg_m3: piece.density_kg_m3,
+                    temperature_k: piece.temperature_k + dot(piece.temperature_slope, off),
+                    temperature_slope: [0.0; 3],
+                    vapour_mol_m3: (piece.vapour_mol_m3 + dot(piece.vapour_slope, off)).max(0.0),
+                    vapour_slope: [0.0; 3],
+                }
             })
             .collect()
     }
@@ -188,6 +241,22 @@ mod tests {
             for a in 0..3 {
                 assert!((end[a] - tip[a] - to[a]).abs() < 1e-14, "{axis:?} to {scene_axis:?}: {end:?}");
             }
+        }
+    }
+
+    #[test]
+    fn sectors_come_round_and_the_first_stays() {
+        let sectors = Sectors { number: 8, tip_m: [0.0, 0.001, 0.0], axis: [0.0, 0.0, -2.0] };
+        let turns = sectors.turns().unwrap();
+        let place = [0.01, 0.001, -0.02];
+        for (number, turn) in (0_u32..).zip(&turns) {
+            let angle = -std::f64::consts::FRAC_PI_4 * f64::from(number);
+            let expected = [0.01 * angle.cos(), 0.001 + 0.01 * angle.sin(), -0.02];
+            let found = turn.point(place);
+            assert!((0..3).all(|a| (found[a] - expected[a]).abs() < 1e-15), "{found:?} {expected:?}");
+        }
+        for number in [0, 65] {
+            assert!(Sectors { number, ..sectors }.turns().is_err());
         }
     }
 

@@ -5,7 +5,7 @@ use super::{BandSource, CfdSource, MediumSource, Samples, Scene, SceneError};
 use crate::light::band::{Absorbers, Band};
 use crate::light::fuel::Fuel;
 use crate::light::phase::truncation::Truncation;
-use crate::scene::deposit::{self, DepositOptions, Move, Placement};
+use crate::scene::deposit::{self, DepositOptions, DepositReport, Move, Placement, Sectors};
 use crate::scene::field::SprayField;
 use crate::scene::import::{self, ImportOptions, Time};
 use crate::scene::optics::{Optics, OpticsOptions, OpticsReport, Source};
@@ -29,7 +29,8 @@ impl Scene {
     pub fn with_spray(mut self, options: &OpticsOptions) -> Result<Self, SceneError> {
         let made = match &self.medium {
             Some(MediumSource::Cfd(source)) => {
-                let (fuel, field, notes) = imported(source)?;
+                let (fuel, field, deposit, notes) = imported(source)?;
+                self.deposit = Some(deposit);
                 Made {
                     scene: &source.scene,
                     kind: "cfd",
@@ -78,7 +79,8 @@ fn meaning(scene: &Path, problem: String) -> SceneError {
 }
 
 /// A CFD spray, read and spread on its grid.
-fn imported(source: &CfdSource) -> Result<(Fuel, SprayField, Vec<String>), SceneError> {
+fn imported(source: &CfdSource) -> Result<(Fuel, SprayField, DepositReport, Vec<String>), SceneError> {
+    let mut notes = Vec::new();
     let wrong = |problem: String| meaning(&source.scene, problem);
     let unread = |e| SceneError::Spray { path: source.scene.clone(), source: Box::new(e) };
     let folder = source.scene.parent().unwrap_or(Path::new(""));
@@ -95,22 +97,45 @@ fn imported(source: &CfdSource) -> Result<(Fuel, SprayField, Vec<String>), Scene
         spray
     } else {
         let time = source.time_s.map_or(Time::Latest, Time::At);
-        import::read(&source.path, time, &ImportOptions::default()).map_err(unread)?
+        if !(source.length_unit_m.is_finite() && source.length_unit_m > 0.0) {
+            return Err(wrong(format!(
+                "[medium] length_unit_m is {}; it must be positive",
+                source.length_unit_m
+            )));
+        }
+        let wanted = ImportOptions {
+            fuel: source.fuel_field.clone(),
+            // The scene names the fuel anyway; its molar mass serves fields under names that tell none.
+            fuel_molar_mass_kg_mol: import::fuel_molar_mass(source.fuel_field.as_deref().unwrap_or_default())
+                .or_else(|| source.fuel_field.as_ref().and_then(|_| import::fuel_molar_mass(&source.fuel))),
+            length_unit_m: source.length_unit_m,
+            ..ImportOptions::default()
+        };
+        import::read(&source.path, time, &wanted).map_err(unread)?
     };
+    notes.extend(spray.notes.iter().map(|note| format!("spray: {note}")));
     let placement = placement(source).map_err(unread)?;
-    let spread = DepositOptions { cell_m: source.cell_m, placement, ..DepositOptions::default() };
-    let (field, report) = deposit::field(&spray, &spread).map_err(unread)?;
-    let note = format!(
+    let sectors = match (source.sectors, source.axis) {
+        (1, _) => None,
+        (number, Some(axis)) => Some(Sectors { number, tip_m: source.tip_m.unwrap_or([0.0; 3]), axis }),
+        (_, None) => {
+            return Err(wrong("[medium] sectors needs axis: the spray is turned about it".to_owned()));
+        }
+    };
+    let spread = DepositOptions { cell_m: source.cell_m, sectors, placement, ..DepositOptions::default() };
+    let (field, deposit) = deposit::field(&spray, &spread).map_err(unread)?;
+    notes.push(format!(
         "spray at {:.3e} s: {} cells of {:.3e} m, {} with droplets, {} with vapour; {} parcels outside, {} junk",
         spray.time_s,
-        report.cells,
-        report.cell_m[0],
-        report.droplet_cells,
-        report.vapour_cells,
-        report.outside_parcels,
-        report.junk_parcels
-    );
-    Ok((fuel, field, vec![note]))
+        deposit.cells,
+        deposit.cell_m[0],
+        deposit.droplet_cells,
+        deposit.vapour_cells,
+        deposit.outside_parcels,
+        deposit.junk_parcels
+    ));
+    notes.extend(noise(&deposit));
+    Ok((fuel, field, deposit, notes))
 }
 
 /// The coefficients of a spray in the scene's band.
@@ -159,6 +184,27 @@ fn spectral(
         notes.push(told(&cuts.iter().collect::<Vec<_>>(), degrees));
     }
     Ok((MediumSource::Spectral(Box::new(medium), samples), report, notes))
+}
+
+/// What the picture owes to the number of parcels.
+fn noise(report: &DepositReport) -> Vec<String> {
+    if report.droplet_cells == 0 {
+        return Vec::new();
+    }
+    let [x, y, z] = report.split_half;
+    let mut notes = vec![format!(
+        "parcels: the droplets' density rests on N_eff = {:.0} parcels in kernels of {:.2e} m; two halves of the parcels \
+         differ by {x:.3}, {y:.3}, {z:.3} in transmission seen along x, y, z, and the whole errs by half of that",
+        report.n_eff, report.kernel_m
+    )];
+    let worst = report.split_half.into_iter().fold(0.0, f64::max);
+    if worst > DepositOptions::default().noise_max {
+        notes.push(format!(
+            "parcels: there are too few for a quiet picture ({worst:.3} where {} is wanted): compute with more",
+            DepositOptions::default().noise_max
+        ));
+    }
+    notes
 }
 
 /// What the user should know when the band reaches beyond the table of the liquid.

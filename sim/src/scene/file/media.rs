@@ -64,9 +64,26 @@ pub struct CfdSource {
     /// Edge of the tracer's cells; that of the CFD's cells where the vapour is if not given.
     #[serde(default)]
     pub cell_m: Option<f64>,
+    /// How many turned copies about the spray's axis make the whole: for a CFD of one sector of a symmetric spray.
+    #[serde(default = "one")]
+    pub sectors: u32,
+    /// Length in metres of the unit of length in the CFD's files: 0.001 for millimetres.
+    #[serde(default = "one_metre")]
+    pub length_unit_m: f64,
+    /// Name of the fuel's mass fraction in the CFD's files; the only one that is a fuel if not given.
+    #[serde(default)]
+    pub fuel_field: Option<String>,
     /// Half angle in degrees of the cone within which scattered light counts as unscattered; none if not given.
     #[serde(default)]
     pub truncate_deg: Option<f64>,
+}
+
+fn one() -> u32 {
+    1
+}
+
+fn one_metre() -> f64 {
+    1.0
 }
 
 impl Reader<'_> {

@@ -18,6 +18,7 @@ pub use parametric::ParametricSource;
 pub use window::{WindowSource, Windows};
 
 use crate::light::names;
+use crate::scene::deposit::DepositReport;
 use crate::scene::optics::OpticsReport;
 use crate::scene::spray::SprayShots;
 use crate::tracer::camera::Camera;
@@ -96,6 +97,8 @@ pub struct Scene {
     pub optics: Option<OpticsReport>,
     /// How shots of a parametric spray differ, per occupied cell of the medium in its order; none for other media.
     pub shots: Option<SprayShots>,
+    /// How a CFD spray was spread on the tracer's grid, once it is.
+    pub deposit: Option<DepositReport>,
 }
 
 /// The plate and its light.
@@ -178,6 +181,7 @@ impl Reader<'_> {
             notes,
             optics: None,
             shots: None,
+            deposit: None,
         };
         scene.windows = self.windows(&tables.window, tables.lab.as_ref(), &scene)?;
         Ok(scene)

@@ -3,7 +3,8 @@
 //! The header names quantity and unit: `x_m`, `d_um`, `T [K]`, `p (bar)` … Lengths m, mm, um; temperatures K, C;
 //! pressures Pa, kPa, MPa, bar; densities kg/m3, g/cm3; masses kg, g, mg; volumes m3, mm3; times are not in it.
 //! Without a unit: SI. Cells are centre and volume (a cube stands for the cell), centre and edges (dx, dy, dz), or
-//! corners (x_min … z_max). `#` begins a comment; `# time_s = 0.0009` gives the time.
+//! corners (x_min … z_max). `#` begins a comment; `# time_s = 0.0009` gives the time, `# rows = 7975` the number of rows:
+//! without it nobody can tell that a table was cut off between two rows.
 
 use super::super::field::CfdSpray;
 use super::error::{Place, SceneError};
@@ -39,6 +40,7 @@ pub(super) fn read(folder: &Path, options: &ImportOptions) -> Result<CfdSpray, S
     let parcels = folder.join(PARCELS);
     if parcels.is_file() {
         let mut table = Table::read(&parcels)?;
+        made.notes.extend(table.note.take());
         let positions = table.triple(["x", "y", "z"])?.ok_or_else(|| {
             SceneError::missing(&parcels, "the columns x, y, z", "Name them so, with units")
         })?;
@@ -47,6 +49,7 @@ pub(super) fn read(folder: &Path, options: &ImportOptions) -> Result<CfdSpray, S
     let cells = folder.join(CELLS);
     if cells.is_file() {
         let mut table = Table::read(&cells)?;
+        made.notes.extend(table.note.take());
         let boxes = table.boxes()?;
         named::add_cells(&mut made, &cells, &boxes, &table.arrays, options)?;
     }
@@ -58,21 +61,38 @@ struct Table<'a> {
     time_s: Option<f64>,
     arrays: Arrays,
     rows: usize,
+    note: Option<String>,
 }
 
 impl<'a> Table<'a> {
     fn read(file: &'a Path) -> Result<Self, SceneError> {
         let bytes = super::read_bytes(file)?;
         let text = String::from_utf8_lossy(&bytes);
-        let mut table = Self { file, time_s: None, arrays: Arrays::new(), rows: 0 };
+        let mut table = Self { file, time_s: None, arrays: Arrays::new(), rows: 0, note: None };
+        let mut rows_said = None;
         let mut header: Vec<(String, Unit)> = Vec::new();
         let mut columns: Vec<Vec<f64>> = Vec::new();
         for (index, raw) in text.trim_start_matches('\u{feff}').lines().enumerate() {
             let line = raw.trim();
             let place = Place::Line(index + 1);
             if let Some(comment) = line.strip_prefix('#') {
-                let time = comment.split_once('=').filter(|(key, _)| key.trim() == "time_s");
-                table.time_s = time.and_then(|(_, value)| value.trim().parse().ok()).or(table.time_s);
+                if let Some((key, value)) = comment.split_once('=') {
+                    let broken = |expected: &str| {
+                        SceneError::malformed(file, place, expected, format!("{:?}", value.trim()))
+                    };
+                    match key.trim() {
+                        "time_s" => {
+                            let time = value.trim().parse::<f64>().ok().filter(|t| t.is_finite());
+                            table.time_s = Some(time.ok_or_else(|| broken("a time in seconds"))?);
+                        }
+                        "rows" => {
+                            let rows =
+                                value.trim().parse::<usize>().map_err(|_| broken("a number of rows"))?;
+                            rows_said = Some(rows);
+                        }
+                        _ => {}
+                    }
+                }
                 continue;
             }
             if line.is_empty() {
@@ -107,6 +127,21 @@ impl<'a> Table<'a> {
         }
         if header.is_empty() {
             return Err(SceneError::malformed(file, Place::Line(1), "a header", "the end of the file"));
+        }
+        match rows_said {
+            Some(said) if said != table.rows => {
+                return Err(SceneError::length(file, "rows", said, table.rows));
+            }
+            None if !text.ends_with(['\n', '\r']) => {
+                table.note = Some(format!("{} ends without a line end: was it cut off?", file.display()));
+            }
+            _ => {}
+        }
+        let mut seen: Vec<&str> = header.iter().map(|(name, _)| name.as_str()).collect();
+        seen.sort_unstable();
+        if let Some(twice) = seen.windows(2).find(|w| w[0] == w[1]) {
+            let found = format!("{:?} twice", twice[0]);
+            return Err(SceneError::malformed(file, Place::Line(1), "each column once", found));
         }
         table.arrays = header.into_iter().map(|h| h.0).zip(columns).collect();
         Ok(table)

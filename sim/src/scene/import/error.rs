@@ -38,8 +38,8 @@ pub enum SceneError {
     },
     /// None of the known forms of a spray.
     #[error(
-        "{}: not a spray of a known form: {why}. Known: OpenFOAM case folder (with constant/polyMesh or \
-         processor0), EnSight Gold .case, VTK .vtm/.vtu/.vtp/.vtk, a folder with parcels.csv and cells.csv, \
+        "{}: not a spray of a known form: {why}. Known: OpenFOAM case folder (with constant/polyMesh, \
+         processor0 or processorsN), EnSight Gold .case, VTK .vtm/.vtu/.vtp/.vtk, a folder with parcels.csv and cells.csv, \
          a .spray file",
         file.display()
     )]
@@ -84,12 +84,14 @@ pub enum SceneError {
         found: usize,
     },
     /// No such time in the case.
-    #[error("{}: no time {asked_s} s; there are: {present}", file.display())]
+    #[error("{}: no time {asked_s} s; the nearest is {nearest} s. There are: {present}", file.display())]
     Time {
         /// File or folder.
         file: PathBuf,
         /// The time asked for, in seconds.
         asked_s: f64,
+        /// The nearest time present in seconds, as text.
+        nearest: String,
         /// The times present, as text.
         present: String,
     },

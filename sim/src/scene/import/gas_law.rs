@@ -72,18 +72,36 @@ fn formula(text: &str) -> Option<f64> {
     (carbon && hydrogen).then_some(grams * 1e-3)
 }
 
-/// Which of several field names is the fuel.
-pub(super) fn find_fuel(names: &[String]) -> Result<String, String> {
+/// The fuel's field.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct FuelName {
+    pub(super) name: String,
+    /// What the user should know about the choice.
+    pub(super) note: Option<String>,
+}
+
+/// Which of several field names is the fuel; `liquids` are what the droplets are said to be made of.
+pub(super) fn find_fuel(names: &[String], liquids: &[String]) -> Result<FuelName, String> {
     let mut fuels: Vec<&String> = names.iter().filter(|n| fuel_molar_mass(n).is_some()).collect();
     fuels.sort();
     fuels.dedup();
-    match fuels.as_slice() {
-        [one] => return Ok((*one).clone()),
-        [] => {}
-        several => {
-            let list = several.iter().map(|s| s.as_str()).collect::<Vec<_>>().join(", ");
-            return Err(format!("several fuels: {list}; name the one to use"));
+    let listed = |names: &[&String]| names.iter().map(|s| s.as_str()).collect::<Vec<_>>().join(", ");
+    let mut of_droplets: Vec<&String> = names.iter().filter(|n| liquids.contains(n)).collect();
+    of_droplets.sort();
+    of_droplets.dedup();
+    match (fuels.as_slice(), of_droplets.as_slice()) {
+        ([one], _) if liquids.is_empty() || liquids.contains(one) => {
+            return Ok(FuelName { name: (*one).clone(), note: None });
         }
+        (fuels, [one]) => {
+            let others: Vec<&String> = fuels.iter().copied().filter(|f| f != one).collect();
+            let note = (!others.is_empty())
+                .then(|| format!("fuel {one}: the droplets are made of it; not read: {}", listed(&others)));
+            return Ok(FuelName { name: (*one).clone(), note });
+        }
+        ([one], _) => return Ok(FuelName { name: (*one).clone(), note: None }),
+        ([], _) => {}
+        (several, _) => return Err(format!("several fuels: {}; name the one to use", listed(several))),
     }
     // Names of the other fields of the solvers seen or documented; what is left may be a fuel under another name.
     const OTHERS: &[&str] = &[
@@ -126,7 +144,10 @@ pub(super) fn find_fuel(names: &[String]) -> Result<String, String> {
     let mut left: Vec<&String> = names.iter().filter(|n| !OTHERS.contains(&n.as_str())).collect();
     left.dedup();
     match left.as_slice() {
-        [one] => Ok((*one).clone()),
+        [one] => Ok(FuelName {
+            name: (*one).clone(),
+            note: Some(format!("fuel {one}: the only field that is nothing else")),
+        }),
         _ => Err(format!("no fuel among the fields {}; name it", names.join(", "))),
     }
 }
@@ -155,9 +176,14 @@ mod tests {
     #[test]
     fn the_fuel_is_found_or_the_choice_is_named() {
         let names = |list: &[&str]| list.iter().map(|s| (*s).to_owned()).collect::<Vec<_>>();
-        assert_eq!(find_fuel(&names(&["T", "p", "C7H16", "N2"])).as_deref(), Ok("C7H16"));
-        assert_eq!(find_fuel(&names(&["T", "p", "gasoline"])).as_deref(), Ok("gasoline"));
-        assert!(find_fuel(&names(&["C7H16", "C8H18"])).unwrap_err().contains("C7H16, C8H18"));
+        let found =
+            |list: &[&str], liquids: &[&str]| find_fuel(&names(list), &names(liquids)).map(|f| f.name);
+        assert_eq!(found(&["T", "p", "C7H16", "N2"], &[]).as_deref(), Ok("C7H16"));
+        assert_eq!(found(&["T", "p", "gasoline"], &[]).as_deref(), Ok("gasoline"));
+        assert!(found(&["C7H16", "C8H18"], &[]).unwrap_err().contains("C7H16, C8H18"));
+        assert!(found(&["C7H16", "C8H18"], &["C7H16", "C8H18"]).unwrap_err().contains("C7H16, C8H18"));
+        assert_eq!(found(&["CH4", "IDEA", "T"], &["IDEA"]).as_deref(), Ok("IDEA"));
+        assert_eq!(found(&["C7H16", "CH4", "T"], &["C7H16", "H2O"]).as_deref(), Ok("C7H16"));
     }
 
     #[test]

@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 pub enum Time {
     /// The last one.
     Latest,
-    /// The one at this many seconds, to within 1e-6 of its value.
+    /// The one at this many seconds, to within 1e-5 of its value.
     At(f64),
 }
 
@@ -148,13 +148,6 @@ fn folder_form(folder: &Path) -> Result<Form, SceneError> {
     if !steps.is_empty() {
         return Ok(Form::Vtk(steps));
     }
-    if openfoam::is_collated(folder) {
-        return Err(SceneError::Unsupported {
-            file: folder.to_owned(),
-            what: "a collated case (processorsN)".into(),
-            hint: "Run `reconstructPar`, or decompose with `-fileHandler uncollated`".into(),
-        });
-    }
     Err(SceneError::Unknown {
         file: folder.to_owned(),
         why: "the folder has none of the files looked for".into(),
@@ -204,18 +197,27 @@ fn read_compact(file: &Path) -> Result<CfdSpray, SceneError> {
     compact::unpack(&bytes, file)
 }
 
+/// Relative difference of times that are the same; single precision has 6e-8, five digits of text 1e-5.
+const SAME_TIME: f64 = 1e-5;
+
 fn pick<T>(file: &Path, time: Time, times: Vec<T>, seconds: impl Fn(&T) -> f64) -> Result<T, SceneError> {
     let present = times.iter().map(|t| seconds(t).to_string()).collect::<Vec<_>>().join(", ");
     let mut times = times;
     let found = match time {
         Time::Latest => times.len().checked_sub(1),
         Time::At(asked) => {
-            times.iter().position(|t| (seconds(t) - asked).abs() <= 1e-6 * asked.abs().max(1e-6))
+            times.iter().position(|t| (seconds(t) - asked).abs() <= SAME_TIME * asked.abs().max(SAME_TIME))
         }
     };
     match (found, time) {
         (Some(index), _) => Ok(times.swap_remove(index)),
-        (None, Time::At(asked_s)) => Err(SceneError::Time { file: file.to_owned(), asked_s, present }),
+        (None, Time::At(asked_s)) => {
+            let apart = |t: &T| (seconds(t) - asked_s).abs();
+            let nearest =
+                times.iter().min_by(|a, b| apart(a).total_cmp(&apart(b))).map(|t| seconds(t).to_string());
+            let nearest = nearest.unwrap_or_else(|| "none".into());
+            Err(SceneError::Time { file: file.to_owned(), asked_s, nearest, present })
+        }
         (None, Time::Latest) => {
             Err(SceneError::missing(file, "any time", "Look into the folder: is it the case?"))
         }
@@ -232,7 +234,17 @@ struct Made {
     cells: Option<Vec<GasCell>>,
     shaped_cells: usize,
     fuel: String,
+    /// What the droplets are made of, where the form tells.
+    liquids: Vec<String>,
+    notes: Vec<String>,
 }
+
+/// Share of the parcels whose numbers may make no sense (not finite, negative); solvers leave some behind.
+const BROKEN_MAX: f64 = 0.01;
+
+/// A chamber wider than this was not meant in metres, and neither was a droplet.
+const WIDE_M: f64 = 3.0;
+const LARGE_M: f64 = 5e-3;
 
 impl Made {
     fn finish(mut self, file: &Path, options: &ImportOptions) -> Result<CfdSpray, SceneError> {
@@ -270,6 +282,8 @@ impl Made {
             ));
         }
         let has_cells = self.cells.as_ref().is_some_and(|c| !c.is_empty());
+        self.check_parcels(file)?;
+        self.note_units(domain);
         Ok(CfdSpray {
             time_s: self.time_s,
             parcels: self.parcels,
@@ -281,7 +295,59 @@ impl Made {
             fuel: self.fuel,
             fuel_molar_mass_kg_mol: mixture.fuel,
             carrier_molar_mass_kg_mol: mixture.carrier,
+            notes: self.notes,
         })
+    }
+
+    /// A few parcels without sense are junk; many are a damaged or foreign file.
+    fn check_parcels(&mut self, file: &Path) -> Result<(), SceneError> {
+        let good = |v: f64| v.is_finite() && v >= 0.0;
+        let sound = |p: &Parcel| {
+            good(p.diameter_m)
+                && good(p.temperature_k)
+                && good(p.droplets)
+                && p.position_m.iter().all(|x| x.is_finite())
+        };
+        let parcels = self.parcels.as_deref().unwrap_or_default();
+        let broken = parcels.iter().filter(|p| !sound(p)).count();
+        if broken as f64 > BROKEN_MAX * parcels.len() as f64 {
+            let first = parcels.iter().position(|p| !sound(p)).unwrap_or(0);
+            let expected =
+                "parcels with finite places and diameters, temperatures and numbers that are not negative";
+            let found = format!("others in {broken} of {} (the first is number {first})", parcels.len());
+            return Err(SceneError::malformed(file, Place::Whole, expected, found));
+        }
+        if broken > 0 {
+            self.notes.push(format!(
+                "{broken} parcels have numbers that make no sense; they are in no sum but the count"
+            ));
+        }
+        Ok(())
+    }
+
+    /// Says so when the numbers look like those of other units.
+    fn note_units(&mut self, domain: shape::Box3) {
+        let parcels = self.parcels.as_deref().unwrap_or_default();
+        let mut reach = domain;
+        parcels
+            .iter()
+            .filter(|p| p.position_m.iter().all(|x| x.is_finite()))
+            .for_each(|p| reach.extend(p.position_m));
+        let widest = (0..3).map(|a| reach.upper[a] - reach.lower[a]).fold(0.0, f64::max);
+        if widest > WIDE_M {
+            self.notes.push(format!(
+                "the spray's box is {widest:.4} m wide; if the file has millimetres, give the length unit 0.001"
+            ));
+        }
+        let mut diameters: Vec<f64> = parcels.iter().map(|p| p.diameter_m).collect();
+        diameters.sort_by(f64::total_cmp);
+        if let Some(&median) = diameters.get(diameters.len() / 2)
+            && median > LARGE_M
+        {
+            self.notes.push(format!(
+                "the median diameter of the droplets is {median:.4} m; if the file has micrometres, write them in metres"
+            ));
+        }
     }
 }
 

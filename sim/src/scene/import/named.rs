@@ -88,9 +88,13 @@ pub(super) fn add_cells(
         Some(name) => name.clone(),
         None => match names.iter().find(|n| FRACTION.contains(&n.to_ascii_lowercase().as_str())) {
             Some(name) => name.clone(),
-            None => gas_law::find_fuel(&names).map_err(|why| {
-                SceneError::missing(file, "the fuel's mass fraction", format!("It has {why}"))
-            })?,
+            None => {
+                let found = gas_law::find_fuel(&names, &made.liquids).map_err(|why| {
+                    SceneError::missing(file, "the fuel's mass fraction", format!("It has {why}"))
+                })?;
+                made.notes.extend(found.note);
+                found.name
+            }
         },
     };
     let mixture = options.mixture(file, &fuel)?;

@@ -4,9 +4,18 @@ use super::super::error::{Place, SceneError};
 use super::super::shape::{Box3, polyhedron, standard_faces};
 use std::path::{Path, PathBuf};
 
+/// How the numbers of a file are written; files of values do not say it, they follow their geometry.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Coding {
+    binary: bool,
+    /// Binary in Fortran's records: each with its length before and after.
+    records: bool,
+    big_endian: bool,
+}
+
 /// Volume elements and what is needed to find their values again.
 pub(super) struct Geometry {
-    pub(super) binary: bool,
+    pub(super) coding: Coding,
     /// All volume elements in the order of the file; true: no box.
     pub(super) boxes: Vec<(Box3, bool)>,
     parts: Vec<Part>,
@@ -25,7 +34,7 @@ struct Group {
 
 /// Particles.
 pub(super) struct Cloud {
-    pub(super) binary: bool,
+    pub(super) coding: Coding,
     pub(super) positions: Vec<[f64; 3]>,
 }
 
@@ -36,7 +45,7 @@ pub(super) fn geometry(file: &Path) -> Result<Geometry, SceneError> {
     from.line()?;
     let node_ids = from.ids_given("node id")?;
     let element_ids = from.ids_given("element id")?;
-    let mut geometry = Geometry { binary: from.binary, boxes: Vec::new(), parts: Vec::new() };
+    let mut geometry = Geometry { coding: from.coding, boxes: Vec::new(), parts: Vec::new() };
     let mut line = from.line()?;
     if line.starts_with("extents") {
         from.extents()?;
@@ -81,14 +90,17 @@ pub(super) fn geometry(file: &Path) -> Result<Geometry, SceneError> {
         geometry.parts.push(part);
         match next {
             Some(next) => line = next,
-            None => return Ok(geometry),
+            None => {
+                geometry.coding = from.coding;
+                return Ok(geometry);
+            }
         }
     }
 }
 
 /// Values of all volume elements, in the order of [`Geometry::boxes`].
 pub(super) fn element_values(file: &Path, geometry: &Geometry) -> Result<Vec<f64>, SceneError> {
-    let mut from = Reader::like(file, geometry.binary)?;
+    let mut from = Reader::like(file, geometry.coding)?;
     from.line()?;
     let mut by_part: Vec<Option<Vec<f64>>> = geometry.parts.iter().map(|_| None).collect();
     let mut line = from.line_or_end()?;
@@ -138,12 +150,12 @@ pub(super) fn measured(file: &Path) -> Result<Cloud, SceneError> {
     if !kind.starts_with("particle coordinates") {
         return Err(from.error("`particle coordinates`", format!("{kind:?}")));
     }
-    if from.binary {
+    if from.coding.binary {
         let count = from.counted(|n| n.saturating_mul(16))?;
         from.integers(count)?;
         let flat = from.floats(3 * count)?;
         return Ok(Cloud {
-            binary: true,
+            coding: from.coding,
             positions: flat.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
         });
     }
@@ -153,17 +165,18 @@ pub(super) fn measured(file: &Path) -> Result<Cloud, SceneError> {
         // I8, then 3 E12.5: numbers may touch.
         let line = from.text_line()?;
         let numbers = from.columns(line.get(8..).unwrap_or_default(), 12)?;
+        from.ended(&line, 8, 12)?;
         let &[x, y, z] = numbers.as_slice() else {
             return Err(from.error("a number of 8 columns and three of 12", format!("{line:?}")));
         };
         positions.push([x, y, z]);
     }
-    Ok(Cloud { binary: false, positions })
+    Ok(Cloud { coding: from.coding, positions })
 }
 
 /// Values of measured particles: one header, no parts, six to a line in text.
-pub(super) fn measured_values(file: &Path, count: usize, binary: bool) -> Result<Vec<f64>, SceneError> {
-    let mut from = Reader::like(file, binary)?;
+pub(super) fn measured_values(file: &Path, count: usize, coding: Coding) -> Result<Vec<f64>, SceneError> {
+    let mut from = Reader::like(file, coding)?;
     from.line()?;
     from.floats(count)
 }
@@ -174,37 +187,73 @@ struct Reader {
     bytes: Vec<u8>,
     at: usize,
     line: usize,
-    binary: bool,
-    big_endian: bool,
+    coding: Coding,
+    /// The line read last was not ended by a line end.
+    unended: bool,
 }
 
 impl Reader {
-    /// Opens a file that says itself whether it is binary.
+    /// Opens a file that says itself how it is written.
     fn open(file: &Path) -> Result<Self, SceneError> {
         let bytes = super::super::read_bytes(file)?;
-        if bytes.starts_with(b"Fortran Binary")
-            || bytes.get(4..).is_some_and(|b| b.starts_with(b"Fortran Binary"))
-        {
-            return Err(SceneError::Unsupported {
-                file: file.to_owned(),
-                what: "Fortran binary".into(),
-                hint: "Export as ascii or C binary".into(),
-            });
+        let mut coding = Coding { binary: bytes.starts_with(b"C Binary"), ..Coding::default() };
+        if bytes.get(4..).is_some_and(|b| b.starts_with(b"Fortran Binary")) {
+            coding = Coding { binary: true, records: true, big_endian: false };
         }
-        let binary = bytes.starts_with(b"C Binary");
-        let at = if binary { 80 } else { 0 };
-        Ok(Self { file: file.to_owned(), bytes, at, line: 0, binary, big_endian: false })
+        Self::of(file, bytes, coding)
     }
 
-    /// Opens a file that is binary or not as its geometry is.
-    fn like(file: &Path, binary: bool) -> Result<Self, SceneError> {
-        let bytes = super::super::read_bytes(file)?;
-        let at = if binary && bytes.starts_with(b"C Binary") { 80 } else { 0 };
-        Ok(Self { file: file.to_owned(), bytes, at, line: 0, binary, big_endian: false })
+    /// Opens a file that is written as its geometry is.
+    fn like(file: &Path, coding: Coding) -> Result<Self, SceneError> {
+        Self::of(file, super::super::read_bytes(file)?, coding)
+    }
+
+    fn of(file: &Path, bytes: Vec<u8>, coding: Coding) -> Result<Self, SceneError> {
+        let mut reader = Self { file: file.to_owned(), bytes, at: 0, line: 0, coding, unended: false };
+        if coding.records {
+            reader.join_records()?;
+        }
+        if coding.binary
+            && (reader.bytes.starts_with(b"C Binary") || reader.bytes.starts_with(b"Fortran Binary"))
+        {
+            reader.at = 80;
+        }
+        Ok(reader)
+    }
+
+    /// Takes the lengths of Fortran's records out: what is left is as C writes it. The first record of every file is a
+    /// string of 80 bytes, which tells the byte order.
+    fn join_records(&mut self) -> Result<(), SceneError> {
+        let packed = std::mem::take(&mut self.bytes);
+        let word = |at: usize, big: bool| -> Option<usize> {
+            let raw: [u8; 4] = packed.get(at..at + 4)?.try_into().ok()?;
+            usize::try_from(if big { u32::from_be_bytes(raw) } else { u32::from_le_bytes(raw) }).ok()
+        };
+        self.coding.big_endian = word(0, true) == Some(80);
+        let big = self.coding.big_endian;
+        let mut at = 0;
+        while at < packed.len() {
+            let record = word(at, big).and_then(|length| {
+                let bytes = packed.get(at + 4..at.checked_add(4)?.checked_add(length)?)?;
+                (word(at + 4 + length, big) == Some(length)).then_some(bytes)
+            });
+            let Some(record) = record else {
+                let expected = "a Fortran record between two equal lengths";
+                return Err(SceneError::malformed(
+                    &self.file,
+                    Place::Byte(at),
+                    expected,
+                    "others, or the end",
+                ));
+            };
+            self.bytes.extend_from_slice(record);
+            at += 8 + record.len();
+        }
+        Ok(())
     }
 
     fn error(&self, expected: &str, found: String) -> SceneError {
-        let place = if self.binary { Place::Byte(self.at) } else { Place::Line(self.line) };
+        let place = if self.coding.binary { Place::Byte(self.at) } else { Place::Line(self.line) };
         SceneError::malformed(&self.file, place, expected, found)
     }
 
@@ -216,14 +265,23 @@ impl Reader {
         let rest = &self.bytes[self.at..];
         let length = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
         let line = String::from_utf8_lossy(&rest[..length]).trim_end().to_owned();
+        self.unended = length == rest.len();
         self.at += length + 1;
         self.line += 1;
         Ok(line)
     }
 
+    /// Refuses a last line that was cut off within a number: what is left of it may look like one.
+    fn ended(&self, line: &str, before: usize, width: usize) -> Result<(), SceneError> {
+        if self.unended && (line.len() < before || !(line.len() - before).is_multiple_of(width)) {
+            return Err(self.error(&format!("a number of {width} columns"), "the end of the file".into()));
+        }
+        Ok(())
+    }
+
     /// 80 bytes, or a line of text; without blanks around it.
     fn line(&mut self) -> Result<String, SceneError> {
-        if !self.binary {
+        if !self.coding.binary {
             return self.text_line().map(|l| l.trim().to_owned());
         }
         let raw = self.take(80)?;
@@ -257,8 +315,8 @@ impl Reader {
     }
 
     fn integers(&mut self, count: usize) -> Result<Vec<i64>, SceneError> {
-        if self.binary {
-            let big = self.big_endian;
+        if self.coding.binary {
+            let big = self.coding.big_endian;
             let raw = self.take(count.saturating_mul(4))?;
             return Ok(raw
                 .chunks_exact(4)
@@ -273,8 +331,8 @@ impl Reader {
     }
 
     fn floats(&mut self, count: usize) -> Result<Vec<f64>, SceneError> {
-        if self.binary {
-            let big = self.big_endian;
+        if self.coding.binary {
+            let big = self.coding.big_endian;
             let raw = self.take(count.saturating_mul(4))?;
             return Ok(raw
                 .chunks_exact(4)
@@ -293,6 +351,7 @@ impl Reader {
         while numbers.len() < count {
             let line = self.text_line()?;
             numbers.extend(self.columns(&line, width)?);
+            self.ended(&line, 0, width)?;
         }
         if numbers.len() > count {
             return Err(self.error(&format!("{count} numbers"), format!("{}", numbers.len())));
@@ -320,7 +379,7 @@ impl Reader {
         let at = self.at;
         for big_endian in [false, true] {
             self.at = at;
-            self.big_endian = big_endian;
+            self.coding.big_endian = big_endian;
             if let Ok(count) = self.count()
                 && bytes(count) == self.bytes.len().saturating_sub(self.at)
             {
@@ -338,8 +397,8 @@ impl Reader {
     /// A part number; it tells the byte order, because parts are numbered from 1.
     fn part_number(&mut self) -> Result<i64, SceneError> {
         let number = self.integers(1)?[0];
-        if self.binary && !(1..1 << 16).contains(&number) {
-            self.big_endian = !self.big_endian;
+        if self.coding.binary && !(1..1 << 16).contains(&number) {
+            self.coding.big_endian = !self.coding.big_endian;
             self.at -= 4;
             let swapped = self.integers(1)?[0];
             if !(1..1 << 16).contains(&swapped) {

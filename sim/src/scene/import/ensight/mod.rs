@@ -1,7 +1,7 @@
 //! EnSight Gold: the case file, its time sets, and how its files make one spray.
 //!
-//! Text and C binary; gas per element, parcels as measured particles. Does not read Fortran binary, structured
-//! blocks, single-file transients or gas per node. Seen from OpenFOAM v1912's `foamToEnsight`; the rules are those
+//! Text, C and Fortran binary of either byte order; gas per element, parcels as measured particles. Does not read
+//! structured blocks, single-file transients or gas per node. Seen from OpenFOAM v1912's `foamToEnsight`; the rules are those
 //! of the EnSight User Manual, chapter "EnSight Gold Casefile Format".
 
 mod files;
@@ -100,10 +100,41 @@ pub(super) fn open(file: &Path) -> Result<Case, SceneError> {
             _ => {}
         }
     }
+    case.check(&text)?;
     Ok(case)
 }
 
 impl Case {
+    /// What a case must have; one that was cut off lacks some of it.
+    fn check(&self, text: &str) -> Result<(), SceneError> {
+        let refuse = |expected: String, found: String| {
+            let end = Place::Line(text.lines().count());
+            Err(SceneError::malformed(&self.file, end, expected, found))
+        };
+        if self.model.is_none() && self.measured.is_none() {
+            return refuse("a model or measured particles under GEOMETRY".into(), "none".into());
+        }
+        let named = self.model.iter().chain(&self.measured).chain(self.variables.iter().map(|v| &v.file));
+        for set in named.filter_map(|n| n.set) {
+            if !self.sets.iter().any(|s| s.number == set) {
+                return refuse(format!("time set {set} under TIME"), "none".into());
+            }
+        }
+        for set in &self.sets {
+            let (steps, values) = (set.steps, set.values.len());
+            if steps != values && (steps > 0 || values == 0) {
+                return refuse(
+                    format!("{} time values of set {}", steps.max(1), set.number),
+                    values.to_string(),
+                );
+            }
+        }
+        if !self.sets.is_empty() && !text.ends_with(['\n', '\r']) {
+            return refuse("a line end after the last number".into(), "the end of the file".into());
+        }
+        Ok(())
+    }
+
     /// All times in seconds, ascending as the case gives them; a case without times has the one time 0.
     pub(super) fn times(&self) -> Vec<f64> {
         let longest = self.sets.iter().max_by_key(|s| s.values.len()).map(|s| s.values.clone());
@@ -113,11 +144,11 @@ impl Case {
     /// Reads one of the times.
     pub(super) fn read(&self, time_s: f64, options: &ImportOptions) -> Result<CfdSpray, SceneError> {
         let mut made = Made { time_s, ..Made::default() };
-        let mut binary = false;
+        let mut coding = None;
         if let Some(model) = &self.model {
             let file = self.path(model, time_s)?;
             let geometry = files::geometry(&file)?;
-            binary = geometry.binary;
+            coding = Some(geometry.coding);
             let mut arrays = Arrays::new();
             for variable in self.variables.iter().filter(|v| v.kind == Kind::Element) {
                 let values = files::element_values(&self.path(&variable.file, time_s)?, &geometry)?;
@@ -129,12 +160,18 @@ impl Case {
         }
         if let Some(measured) = &self.measured {
             let cloud = files::measured(&self.path(measured, time_s)?)?;
+            // Values are written by the same program in the same way; text says nothing of it.
+            let values_coding = if cloud.coding == files::Coding::default() {
+                coding.unwrap_or(cloud.coding)
+            } else {
+                cloud.coding
+            };
             let mut arrays = Arrays::new();
             let wanted =
                 |v: &&Variable| v.kind == Kind::Measured && named::is_parcel_quantity(plain_name(&v.name));
             for variable in self.variables.iter().filter(wanted) {
                 let file = self.path(&variable.file, time_s)?;
-                let values = files::measured_values(&file, cloud.positions.len(), cloud.binary || binary)?;
+                let values = files::measured_values(&file, cloud.positions.len(), values_coding)?;
                 arrays.insert(plain_name(&variable.name).to_owned(), values);
             }
             named::add_parcels(&mut made, &self.file, &cloud.positions, &arrays)?;

@@ -2,6 +2,9 @@
 //!
 //! Knows the syntax only; what a list means is decided by the caller. The header is text in binary files too;
 //! `arch "LSB;label=32;scalar=64"` tells the sizes. Seen with OpenFOAM v1912.
+//!
+//! A collated file (`decomposedBlockData`) holds one block of bytes for each processor; the first begins with the header
+//! that counts for all (`decomposedBlockData.C`).
 
 use super::super::error::{Place, SceneError};
 use std::path::{Path, PathBuf};
@@ -49,6 +52,8 @@ pub(super) enum Spot {
 pub(super) struct FoamFile {
     path: PathBuf,
     bytes: Vec<u8>,
+    /// Where the bytes begin in the file.
+    origin: usize,
     body: usize,
     binary: bool,
     big_endian: bool,
@@ -57,44 +62,88 @@ pub(super) struct FoamFile {
     class: String,
 }
 
-/// The file itself, or its packed twin; `None` if there is neither.
-pub(super) fn find(folder: &Path, name: &str) -> Option<PathBuf> {
-    let plain = folder.join(name);
-    let packed = folder.join(format!("{name}.gz"));
-    [plain, packed].into_iter().find(|p| p.is_file())
+/// A folder of one part of a case: its own, or one that it shares with other processors.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Folder {
+    pub(super) path: PathBuf,
+    /// Which block of a collated file is this part's; 0 where files are not shared.
+    pub(super) block: usize,
+}
+
+impl Folder {
+    pub(super) fn join(&self, name: &str) -> Self {
+        Self { path: self.path.join(name), block: self.block }
+    }
+
+    /// The file itself, or its packed twin; `None` if there is neither.
+    pub(super) fn file(&self, name: &str) -> Option<PathBuf> {
+        let plain = self.path.join(name);
+        let packed = self.path.join(format!("{name}.gz"));
+        [plain, packed].into_iter().find(|p| p.is_file())
+    }
 }
 
 impl FoamFile {
-    /// Opens `name` or `name.gz` in a folder; `None` if there is neither.
-    pub(super) fn find(folder: &Path, name: &str) -> Result<Option<Self>, SceneError> {
-        find(folder, name).map(|path| Self::open(&path)).transpose()
+    /// Opens `name` or `name.gz` in a folder; `None` if there is neither, or nothing in it for this part.
+    pub(super) fn find(folder: &Folder, name: &str) -> Result<Option<Self>, SceneError> {
+        match folder.file(name) {
+            Some(path) => Self::open(&path, folder.block),
+            None => Ok(None),
+        }
     }
 
     /// Opens `name` or `name.gz` in a folder.
-    pub(super) fn need(folder: &Path, name: &str) -> Result<Self, SceneError> {
+    pub(super) fn need(folder: &Folder, name: &str) -> Result<Self, SceneError> {
         Self::find(folder, name)?.ok_or_else(|| {
             SceneError::missing(
-                &folder.join(name),
+                &folder.path.join(name),
                 "this file (or its .gz)",
                 "Copy the whole case, mesh included",
             )
         })
     }
 
-    fn open(path: &Path) -> Result<Self, SceneError> {
-        let bytes = super::super::read_bytes(path)?;
-        let mut file = Self {
+    fn open(path: &Path, block: usize) -> Result<Option<Self>, SceneError> {
+        let mut file = Self::of(path, super::super::read_bytes(path)?, 0);
+        file.read_header()?;
+        if file.class != "decomposedBlockData" {
+            return Ok(Some(file));
+        }
+        let mut at = file.start();
+        let (mut first, mut own) = (0..0, 0..0);
+        for number in 0..=block {
+            let length = at.count()?;
+            at.skip_space();
+            at.raw(length, 1)?;
+            let end = if length > 0 { at.at - 1 } else { at.at };
+            own = end - length..end;
+            if number == 0 {
+                first = own.clone();
+            }
+        }
+        let mut head = Self::of(path, file.bytes[first.clone()].to_vec(), first.start);
+        head.read_header()?;
+        if block == 0 {
+            return Ok(Some(head));
+        }
+        let bytes = file.bytes[own.clone()].to_vec();
+        // A processor without parcels has nothing in its block.
+        let is_empty = bytes.iter().all(u8::is_ascii_whitespace);
+        Ok((!is_empty).then_some(Self { bytes, body: 0, origin: own.start, ..head }))
+    }
+
+    fn of(path: &Path, bytes: Vec<u8>, origin: usize) -> Self {
+        Self {
             path: path.to_owned(),
             bytes,
+            origin,
             body: 0,
             binary: false,
             big_endian: false,
             label: 4,
             scalar: 8,
             class: String::new(),
-        };
-        file.read_header()?;
-        Ok(file)
+        }
     }
 
     fn read_header(&mut self) -> Result<(), SceneError> {
@@ -296,8 +345,8 @@ impl FoamFile {
 
     fn malformed(&self, at: usize, expected: &str, found: Option<String>) -> SceneError {
         let at = at.min(self.bytes.len());
-        let place = if self.binary {
-            Place::Byte(at)
+        let place = if self.binary || self.origin > 0 {
+            Place::Byte(self.origin + at)
         } else {
             Place::Line(1 + self.bytes[..at].iter().filter(|&&b| b == b'\n').count())
         };
@@ -549,7 +598,7 @@ mod tests {
     fn file(text: &str) -> Result<FoamFile, SceneError> {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("x"), text).unwrap();
-        FoamFile::need(folder.path(), "x")
+        FoamFile::need(&Folder { path: folder.path().to_owned(), block: 0 }, "x")
     }
 
     const HEAD: &str =

@@ -5,8 +5,7 @@
 
 use super::super::error::{Place, SceneError};
 use super::super::shape::{Box3, add, cross, dot, scale, sub};
-use super::foam_file::{Faces, FoamFile};
-use std::path::Path;
+use super::foam_file::{Faces, FoamFile, Folder};
 
 /// Quality below which OpenFOAM does not take a tetrahedron for positive (`minTetQuality` = sqr(1e-15)).
 const TET_QUALITY_MIN: f64 = 1e-30;
@@ -36,7 +35,7 @@ pub(super) struct Seam {
 
 impl Mesh {
     /// Reads `faces`, `owner`, `neighbour` and `boundary` of a `polyMesh` folder, and `points` of a perhaps newer one.
-    pub(super) fn read(folder: &Path, points_folder: &Path) -> Result<Self, SceneError> {
+    pub(super) fn read(folder: &Folder, points_folder: &Folder) -> Result<Self, SceneError> {
         let ((points, faces), (owner, neighbour)) = rayon::join(
             || {
                 rayon::join(
@@ -148,14 +147,14 @@ impl Mesh {
         }
     }
 
-    fn check(&self, folder: &Path) -> Result<(), SceneError> {
+    fn check(&self, folder: &Folder) -> Result<(), SceneError> {
         let refuse = |name: &str, expected: String, found: String| {
-            Err(SceneError::malformed(&folder.join(name), Place::Whole, expected, found))
+            Err(SceneError::malformed(&folder.path.join(name), Place::Whole, expected, found))
         };
         let faces = self.faces.len();
         if self.owner.len() != faces {
             return Err(SceneError::length(
-                &folder.join("owner"),
+                &folder.path.join("owner"),
                 "owners of the faces",
                 faces,
                 self.owner.len(),

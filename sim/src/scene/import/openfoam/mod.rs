@@ -1,7 +1,8 @@
 //! OpenFOAM case folders: times, gas fields, clouds; whole or decomposed.
 //!
-//! Text and binary, packed or not, also mixed. Positions as coordinates in space or barycentric. Does not read
-//! collated cases (`processorsN`). All seen with v1912.
+//! Text and binary, packed or not, also mixed. Positions as coordinates in space or barycentric. Processors each in a
+//! folder of their own, or together in `processorsN` (or several `processorsN_A-B`). All seen with v1912 but the last,
+//! which follow OpenFOAM's sources.
 
 mod foam_file;
 mod mesh;
@@ -10,36 +11,29 @@ use super::super::field::{CfdSpray, GasCell, Parcel};
 use super::error::{Place, SceneError};
 use super::shape::Box3;
 use super::{ImportOptions, Made, gas_law, names};
-use foam_file::{FoamFile, Spot, Values};
+use foam_file::{FoamFile, Folder, Spot, Values};
 use mesh::Mesh;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// True if a folder looks like a case.
 pub(super) fn is_case(folder: &Path) -> bool {
-    folder.join("constant/polyMesh").is_dir() || folder.join("processor0").is_dir()
-}
-
-/// True if a folder is a collated case.
-pub(super) fn is_collated(folder: &Path) -> bool {
-    names(folder).is_ok_and(|n| {
-        n.iter().any(|n| {
-            n.strip_prefix("processors").is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()))
-        })
-    })
+    folder.join("constant/polyMesh").is_dir()
+        || folder.join("processor0").is_dir()
+        || collated(folder).is_ok_and(|parts| !parts.is_empty())
 }
 
 /// Times with gas or a cloud, ascending: value in seconds and folder name.
 pub(super) fn times(case: &Path) -> Result<Vec<(f64, String)>, SceneError> {
     let mut found = BTreeMap::new();
     for part in parts(case)? {
-        for name in names(&part)? {
+        for name in names(&part.path)? {
             let folder = part.join(&name);
             let Some(value) = name.parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0) else {
                 continue;
             };
-            if foam_file::find(&folder, "T").is_some() || folder.join("lagrangian").is_dir() {
+            if folder.file("T").is_some() || folder.path.join("lagrangian").is_dir() {
                 found.insert(name, value);
             }
         }
@@ -58,11 +52,16 @@ pub(super) fn read(
     let folders = parts(case)?;
     let meshes: Vec<Mesh> = folders
         .par_iter()
-        .map(|part| mesh_of(part, &time.1).and_then(|(mesh, points)| Mesh::read(&mesh, &points)))
+        .map(|part| {
+            let (mesh, points) = mesh_of(part, &time.1);
+            Mesh::read(&mesh, &points)
+        })
         .collect::<Result<_, _>>()?;
-    let chosen: Vec<PathBuf> = folders.iter().map(|f| f.join(&time.1)).collect();
-    let fuel = fuel_name(case, &chosen, options)?;
-    let mut made = Made { time_s: time.0, fuel: fuel.clone().unwrap_or_default(), ..Made::default() };
+    let chosen: Vec<Folder> = folders.iter().map(|f| f.join(&time.1)).collect();
+    let mut made = Made { time_s: time.0, ..Made::default() };
+    let clouds_wanted = cloud_names(&chosen, &mut made.notes)?;
+    let fuel = fuel_name(case, &chosen, &clouds_wanted, options, &mut made.notes)?;
+    made.fuel = fuel.clone().unwrap_or_default();
     let mixture = match &fuel {
         Some(name) => Some(options.mixture(case, name)?),
         None => None,
@@ -74,7 +73,7 @@ pub(super) fn read(
                 (Some(name), Some(mixture)) => gas_cells(&chosen[i], &meshes[i], name, mixture).map(Some),
                 _ => Ok(None),
             };
-            let (cells, cloud) = rayon::join(gas, || clouds(&chosen[i], i, &meshes));
+            let (cells, cloud) = rayon::join(gas, || clouds(&chosen[i], &clouds_wanted, i, &meshes));
             Ok(Piece { cells: cells?, cloud: cloud? })
         })
         .collect::<Result<_, SceneError>>()?;
@@ -112,16 +111,29 @@ struct Cloud {
     density: Option<Vec<f64>>,
 }
 
-/// The case itself, or its processor folders in the order of their numbers.
-fn parts(case: &Path) -> Result<Vec<PathBuf>, SceneError> {
-    if !case.join("processor0").is_dir() {
-        return Ok(vec![case.to_owned()]);
-    }
-    let mut numbered: Vec<(usize, PathBuf)> = names(case)?
+/// The case itself, or its parts in the order of the processors.
+fn parts(case: &Path) -> Result<Vec<Folder>, SceneError> {
+    let whole = Folder { path: case.to_owned(), block: 0 };
+    let mut numbered: Vec<(usize, Folder)> = names(case)?
         .iter()
-        .filter_map(|n| Some((n.strip_prefix("processor")?.parse().ok()?, case.join(n))))
+        .filter_map(|n| {
+            let number = n.strip_prefix("processor")?.parse().ok()?;
+            Some((number, Folder { path: case.join(n), block: 0 }))
+        })
+        .filter(|(_, folder)| folder.path.is_dir())
         .collect();
-    numbered.sort();
+    let mut together = collated(case)?;
+    // Some programs leave empty single folders beside the common one.
+    let has_mesh = |parts: &[(usize, Folder)]| {
+        parts.iter().any(|(_, folder)| folder.join("constant/polyMesh").file("faces").is_some())
+    };
+    if numbered.is_empty() || (!has_mesh(&numbered) && has_mesh(&together)) {
+        numbered = std::mem::take(&mut together);
+    }
+    if numbered.is_empty() {
+        return Ok(vec![whole]);
+    }
+    numbered.sort_by_key(|(number, _)| *number);
     for (expected, (number, _)) in numbered.iter().enumerate() {
         if *number != expected {
             let folder = case.join(format!("processor{expected}"));
@@ -133,48 +145,135 @@ fn parts(case: &Path) -> Result<Vec<PathBuf>, SceneError> {
         }
     }
     // A reconstructed case keeps its processor folders; then the whole mesh is the better source.
-    let whole = foam_file::find(&case.join("constant/polyMesh"), "faces").is_some();
     let has_times = || {
         names(case)
             .is_ok_and(|n| n.iter().any(|n| n.parse::<f64>().is_ok_and(|t| t > 0.0) && case.join(n).is_dir()))
     };
-    if whole && has_times() {
-        return Ok(vec![case.to_owned()]);
+    if whole.join("constant/polyMesh").file("faces").is_some() && has_times() {
+        return Ok(vec![whole]);
     }
     Ok(numbered.into_iter().map(|n| n.1).collect())
 }
 
+/// Most processors that a folder's name is believed to stand for.
+const PROCESSORS_MAX: usize = 1 << 16;
+
+/// The parts of `processorsN` or of all `processorsN_A-B`, with the processors' numbers.
+fn collated(case: &Path) -> Result<Vec<(usize, Folder)>, SceneError> {
+    let mut parts = Vec::new();
+    for name in names(case)? {
+        let Some(rest) = name.strip_prefix("processors") else { continue };
+        let (count, range) = rest.split_once('_').map_or((rest, None), |(count, range)| (count, Some(range)));
+        let Some(count) = count.parse::<usize>().ok().filter(|n| (1..=PROCESSORS_MAX).contains(n)) else {
+            continue;
+        };
+        let ends = match range {
+            None => Some((0, count - 1)),
+            Some(range) => range.split_once('-').and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?))),
+        };
+        let Some((first, last)) = ends.filter(|(first, last)| first <= last && *last < count) else {
+            continue;
+        };
+        let path = case.join(&name);
+        parts.extend(
+            (first..=last).map(|number| (number, Folder { path: path.clone(), block: number - first })),
+        );
+    }
+    Ok(parts)
+}
+
 /// Folders of the mesh's topology and of its points at a time; a moving mesh has new ones in the time folder.
-fn mesh_of(part: &Path, time: &str) -> Result<(PathBuf, PathBuf), SceneError> {
-    let constant = part.join("constant/polyMesh");
+fn mesh_of(part: &Folder, time: &str) -> (Folder, Folder) {
     let moved = part.join(time).join("polyMesh");
-    let mesh = if foam_file::find(&moved, "faces").is_some() { moved.clone() } else { constant.clone() };
-    let points = if foam_file::find(&moved, "points").is_some() { moved } else { mesh.clone() };
-    Ok((mesh, points))
+    let mesh =
+        if moved.file("faces").is_some() { moved.clone() } else { part.join("constant").join("polyMesh") };
+    let points = if moved.file("points").is_some() { moved } else { mesh.clone() };
+    (mesh, points)
+}
+
+/// What a parcel must have.
+const NEEDED: [&str; 3] = ["d", "T", "nParticle"];
+
+/// Names of the clouds of droplets at a time, over all parts.
+///
+/// A cloud that nowhere has one of the lists that droplets must have is one of something else; it is passed over and
+/// said so, if there is another.
+fn cloud_names(times: &[Folder], notes: &mut Vec<String>) -> Result<Vec<String>, SceneError> {
+    let mut lists: BTreeMap<String, [bool; 3]> = BTreeMap::new();
+    for time in times {
+        let lagrangian = time.join("lagrangian");
+        if !lagrangian.path.is_dir() {
+            continue;
+        }
+        for name in names(&lagrangian.path)? {
+            let folder = lagrangian.join(&name);
+            if folder.file("positions").or_else(|| folder.file("coordinates")).is_some() {
+                let has = lists.entry(name).or_default();
+                for (has, list) in has.iter_mut().zip(NEEDED) {
+                    *has |= folder.file(list).is_some();
+                }
+            }
+        }
+    }
+    if lists.values().any(|has| has.iter().all(|h| *h)) {
+        lists.retain(|name, has| {
+            let missing: Vec<&str> =
+                NEEDED.into_iter().zip(*has).filter(|(_, has)| !has).map(|l| l.0).collect();
+            if !missing.is_empty() {
+                notes.push(format!("cloud {name} is not read: it has no {}", missing.join(", ")));
+            }
+            missing.is_empty()
+        });
+    }
+    if lists.len() > 1 {
+        let all = lists.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+        notes.push(format!("several clouds are read as one spray: {all}"));
+    }
+    Ok(lists.into_keys().collect())
 }
 
 /// Name of the fuel's field; `None` if no part has gas at this time.
-fn fuel_name(case: &Path, times: &[PathBuf], options: &ImportOptions) -> Result<Option<String>, SceneError> {
-    let Some(folder) = times.iter().find(|f| foam_file::find(f, "T").is_some()) else { return Ok(None) };
+fn fuel_name(
+    case: &Path,
+    times: &[Folder],
+    clouds: &[String],
+    options: &ImportOptions,
+    notes: &mut Vec<String>,
+) -> Result<Option<String>, SceneError> {
+    let Some(folder) = times.iter().find(|f| f.file("T").is_some()) else { return Ok(None) };
     if let Some(name) = &options.fuel {
         return Ok(Some(name.clone()));
     }
-    let fields: Vec<String> = names(folder)?
-        .iter()
-        .filter(|n| folder.join(n).is_file())
-        .map(|n| n.strip_suffix(".gz").unwrap_or(n).to_owned())
-        .collect();
-    gas_law::find_fuel(&fields).map(Some).map_err(|why| {
+    let plain = |folder: &Path| -> Result<Vec<String>, SceneError> {
+        let files = names(folder)?.into_iter().filter(|n| folder.join(n).is_file());
+        Ok(files.map(|n| n.strip_suffix(".gz").map_or(n.clone(), str::to_owned)).collect())
+    };
+    let fields = plain(&folder.path)?;
+    // What the droplets are made of: their list Y…(l).
+    let mut liquids = Vec::new();
+    for time in times {
+        for cloud in clouds {
+            let folder = time.path.join("lagrangian").join(cloud);
+            if folder.is_dir() {
+                liquids.extend(plain(&folder)?.iter().filter_map(|n| {
+                    n.strip_prefix('Y').and_then(|n| n.strip_suffix("(l)")).map(str::to_owned)
+                }));
+            }
+        }
+    }
+    let found = gas_law::find_fuel(&fields, &liquids).map_err(|why| {
         SceneError::missing(
             case,
-            format!("the fuel's mass fraction in {}", folder.display()),
+            format!("the fuel's mass fraction in {}", folder.path.display()),
             format!("It has {why}"),
         )
-    })
+    })?;
+    notes.extend(found.note);
+    Ok(Some(found.name))
 }
 
 fn gas_cells(
-    time: &Path,
+    time: &Folder,
     mesh: &Mesh,
     fuel: &str,
     mixture: gas_law::Mixture,
@@ -194,13 +293,19 @@ fn gas_cells(
         || rayon::join(|| field("rho"), || field("p")),
     );
     let need = |values: Option<Vec<f64>>, name: &str| {
-        values.ok_or_else(|| SceneError::missing(&time.join(name), "this field", "Write it with the others"))
+        values.ok_or_else(|| {
+            SceneError::missing(&time.path.join(name), "this field", "Write it with the others")
+        })
     };
     let temperature = need(temperature?, "T")?;
     let fraction = need(fraction?, fuel)?;
     let (density, pressure) = (density?, pressure?);
     if density.is_none() && pressure.is_none() {
-        return Err(SceneError::missing(&time.join("rho"), "this field, and p too", "Write one of them"));
+        return Err(SceneError::missing(
+            &time.path.join("rho"),
+            "this field, and p too",
+            "Write one of them",
+        ));
     }
     let mut shaped = 0;
     let cells = (0..mesh.cells())
@@ -223,14 +328,15 @@ fn gas_cells(
 }
 
 /// All clouds of one part; `None` where the part has none (a processor without parcels writes no folder).
-fn clouds(time: &Path, part: usize, meshes: &[Mesh]) -> Result<Option<Cloud>, SceneError> {
-    let lagrangian = time.join("lagrangian");
-    if !lagrangian.is_dir() {
-        return Ok(None);
-    }
+fn clouds(
+    time: &Folder,
+    names: &[String],
+    part: usize,
+    meshes: &[Mesh],
+) -> Result<Option<Cloud>, SceneError> {
     let mut all: Option<Cloud> = None;
-    for name in names(&lagrangian)? {
-        let folder = lagrangian.join(&name);
+    for name in names {
+        let folder = time.join("lagrangian").join(name);
         let places = match FoamFile::find(&folder, "positions")? {
             Some(file) => Some(file),
             None => FoamFile::find(&folder, "coordinates")?,
@@ -251,15 +357,16 @@ fn clouds(time: &Path, part: usize, meshes: &[Mesh]) -> Result<Option<Cloud>, Sc
     Ok(all)
 }
 
-fn cloud(folder: &Path, places: &FoamFile, part: usize, meshes: &[Mesh]) -> Result<Cloud, SceneError> {
+fn cloud(folder: &Folder, places: &FoamFile, part: usize, meshes: &[Mesh]) -> Result<Cloud, SceneError> {
     let spots = places.spots()?;
     let list = |name: &str| -> Result<Option<Vec<f64>>, SceneError> {
         let Some(file) = FoamFile::find(folder, name)? else { return Ok(None) };
         file.scalars(spots.len()).map(Some)
     };
     let need = |name: &str| {
-        list(name)?
-            .ok_or_else(|| SceneError::missing(&folder.join(name), "this list", "Write it with the others"))
+        list(name)?.ok_or_else(|| {
+            SceneError::missing(&folder.path.join(name), "this list", "Write it with the others")
+        })
     };
     let (diameter, temperature, droplets) = (need("d")?, need("T")?, need("nParticle")?);
     let density = list("rho")?;

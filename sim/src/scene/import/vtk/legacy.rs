@@ -6,6 +6,7 @@ use super::super::error::{Place, SceneError};
 use super::super::named::Arrays;
 use super::xml::decode;
 use super::{Cell, Piece, decimal, faces_from};
+use std::io::Read;
 use std::path::Path;
 
 /// Reads a file.
@@ -21,6 +22,8 @@ pub(super) fn read(file: &Path) -> Result<Piece, SceneError> {
     let mut piece = Piece::default();
     let mut topology = Topology::default();
     let mut place = Section::Dataset;
+    // Tuples of the arrays of this section.
+    let mut tuples = 0;
     while let Some(line) = from.line_or_end() {
         let words: Vec<&str> = line.split_whitespace().collect();
         let Some(&key) = words.first() else { continue };
@@ -48,12 +51,12 @@ pub(super) fn read(file: &Path) -> Result<Piece, SceneError> {
                 topology.read(&mut from, cells, size)?;
             }
             "CELL_TYPES" => topology.kinds = whole(from.numbers(need(1)?, "int")?),
-            "VERTICES" | "LINES" | "POLYGONS" => {
-                let size = need(2)?;
-                from.numbers(size, "int")?;
+            "VERTICES" | "LINES" | "POLYGONS" | "TRIANGLE_STRIPS" => {
+                let (count, size) = (need(1)?, need(2)?);
+                Topology::default().read(&mut from, count, size)?;
             }
-            "CELL_DATA" => place = Section::Cells,
-            "POINT_DATA" => place = Section::Points,
+            "CELL_DATA" => (place, tuples) = (Section::Cells, need(1)?),
+            "POINT_DATA" => (place, tuples) = (Section::Points, need(1)?),
             "FIELD" => {
                 for _ in 0..need(2)? {
                     field_array(&mut from, place, &mut piece)?;
@@ -64,21 +67,13 @@ pub(super) fn read(file: &Path) -> Result<Piece, SceneError> {
                 let name = words.get(1).copied().unwrap_or_default().to_owned();
                 let kind = words.get(2).copied().unwrap_or("float").to_owned();
                 from.line()?;
-                let total = match place {
-                    Section::Points => piece.points.len(),
-                    _ => topology.kinds.len(),
-                };
-                let values = from.numbers(total.saturating_mul(components), &kind)?;
+                let values = from.numbers(tuples.saturating_mul(components), &kind)?;
                 keep(place, &mut piece, name, values, components);
             }
             "VECTORS" | "NORMALS" => {
-                let total = match place {
-                    Section::Points => piece.points.len(),
-                    _ => topology.kinds.len(),
-                };
-                from.numbers(total.saturating_mul(3), words.get(2).copied().unwrap_or("float"))?;
+                from.numbers(tuples.saturating_mul(3), words.get(2).copied().unwrap_or("float"))?;
             }
-            "METADATA" => while from.line_or_end().is_some_and(|l| !l.trim().is_empty()) {},
+            "METADATA" => from.pass_metadata(),
             _ => return Err(from.error("a keyword of the format", &line)),
         }
     }
@@ -86,6 +81,14 @@ pub(super) fn read(file: &Path) -> Result<Piece, SceneError> {
         piece.cells = topology.cells(&from)?;
     }
     Ok(piece)
+}
+
+/// True if the head of a file says that it holds points and surfaces, as clouds are written; false if it cannot be read.
+pub(super) fn is_poly_data(file: &Path) -> bool {
+    // Two lines of at most 256 characters, BINARY or ASCII, DATASET.
+    let mut head = Vec::new();
+    let read = std::fs::File::open(file).and_then(|f| f.take(1024).read_to_end(&mut head));
+    read.is_ok() && String::from_utf8_lossy(&head).lines().take(4).any(|l| l.trim() == "DATASET POLYDATA")
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -97,7 +100,11 @@ enum Section {
 
 /// `name components tuples type`, then the values.
 fn field_array(from: &mut Reader<'_>, place: Section, piece: &mut Piece) -> Result<(), SceneError> {
-    let line = from.line()?;
+    let mut line = from.next_line()?;
+    while line == "METADATA" {
+        from.pass_metadata();
+        line = from.next_line()?;
+    }
     let words: Vec<&str> = line.split_whitespace().collect();
     let &[name, components, tuples, kind] = words.as_slice() else {
         return Err(from.error("name, components, tuples and type", &line));
@@ -146,7 +153,7 @@ impl Topology {
             && let Some(kind) = line.strip_prefix("OFFSETS")
         {
             let offsets = whole(from.numbers(cells, kind.trim())?);
-            let line = from.line()?;
+            let line = from.next_line()?;
             let kind = line.strip_prefix("CONNECTIVITY").map(str::trim).unwrap_or_default().to_owned();
             let flat = whole(from.numbers(size, &kind)?);
             for pair in offsets.windows(2) {
@@ -218,6 +225,21 @@ impl Reader<'_> {
         self.line_or_end().ok_or_else(|| self.error("another line", "the end of the file"))
     }
 
+    /// The next line that is not blank: in text the rest of a line of numbers comes first.
+    fn next_line(&mut self) -> Result<String, SceneError> {
+        loop {
+            let line = self.line()?;
+            if !line.is_empty() {
+                return Ok(line);
+            }
+        }
+    }
+
+    /// Remarks on an array, up to a blank line.
+    fn pass_metadata(&mut self) {
+        while self.line_or_end().is_some_and(|l| !l.is_empty()) {}
+    }
+
     fn line_or_end(&mut self) -> Option<String> {
         let rest = self.bytes.get(self.at..).filter(|r| !r.is_empty())?;
         let length = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
@@ -239,6 +261,11 @@ impl Reader<'_> {
                     self.at += used;
                     return Err(self.error("a number", &String::from_utf8_lossy(&word[..length])));
                 };
+                if length == word.len() {
+                    // What is left of a number that was cut off may look like one.
+                    self.at += used;
+                    return Err(self.error("a line end after the last number", "the end of the file"));
+                }
                 values.push(value);
                 used += length;
             }

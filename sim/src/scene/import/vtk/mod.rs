@@ -46,7 +46,13 @@ const ENDINGS: [&str; 4] = ["vtm", "vtu", "vtk", "vtp"];
 /// True for a file that this room reads.
 pub(super) fn is_vtk(file: &Path) -> bool {
     let name = file.to_string_lossy().to_ascii_lowercase();
-    ENDINGS.iter().any(|e| name.ends_with(&format!(".{e}")) || name.ends_with(&format!(".{e}.series")))
+    is_series(&name) || ENDINGS.iter().any(|e| name.ends_with(&format!(".{e}")))
+}
+
+/// True for the name of a list of files and times.
+fn is_series(name: &str) -> bool {
+    let plain = name.strip_suffix(".json").unwrap_or(name);
+    plain.strip_suffix(".series").is_some_and(|n| ENDINGS.iter().any(|e| n.ends_with(&format!(".{e}"))))
 }
 
 /// The times of a folder: those of its grid files with their clouds, or of its clouds alone; empty if none.
@@ -66,7 +72,7 @@ pub(super) fn folder_steps(folder: &Path) -> Result<Vec<Step>, SceneError> {
 
 /// The times of a file: one, or those of a `.series`.
 pub(super) fn file_steps(file: &Path) -> Result<Vec<Step>, SceneError> {
-    if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("series")) {
+    if is_series(&file.to_string_lossy().to_ascii_lowercase()) {
         let folder = file.parent().unwrap_or(Path::new("."));
         let listed: Vec<PathBuf> = series(file)?.into_iter().map(|(name, _)| folder.join(name)).collect();
         return steps_of(&listed);
@@ -77,17 +83,29 @@ pub(super) fn file_steps(file: &Path) -> Result<Vec<Step>, SceneError> {
 /// Reads one time.
 pub(super) fn read(step: &Step, options: &ImportOptions) -> Result<CfdSpray, SceneError> {
     let mut made = Made { time_s: step.time_s, ..Made::default() };
+    let mut all = Vec::new();
     for file in &step.files {
-        for (file, piece) in pieces(file)? {
-            if piece.is_grid {
-                let (boxes, arrays) = boxes(&file, &piece)?;
-                if !boxes.is_empty() {
-                    named::add_cells(&mut made, &file, &boxes, &arrays, options)?;
-                }
-            } else if named::is_cloud(&piece.point_arrays) {
-                named::add_parcels(&mut made, &file, &piece.points, &piece.point_arrays)?;
-            }
+        all.extend(pieces(file)?);
+    }
+    let clouds = || all.iter().filter(|(_, piece)| !piece.is_grid && named::is_cloud(&piece.point_arrays));
+    // OpenFOAM's names of what droplets are made of: Y…(l).
+    made.liquids = clouds()
+        .flat_map(|(_, piece)| piece.point_arrays.keys())
+        .filter_map(|name| Some(name.strip_prefix('Y')?.strip_suffix("(l)")?.to_owned()))
+        .collect();
+    for (file, piece) in all.iter().filter(|(_, piece)| piece.is_grid) {
+        let (boxes, arrays) = boxes(file, piece)?;
+        if !boxes.is_empty() {
+            named::add_cells(&mut made, file, &boxes, &arrays, options)?;
         }
+    }
+    for (file, piece) in clouds() {
+        named::add_parcels(&mut made, file, &piece.points, &piece.point_arrays)?;
+    }
+    let mut names: Vec<String> = clouds().map(|(file, _)| file.display().to_string()).collect();
+    names.dedup();
+    if names.len() > 1 {
+        made.notes.push(format!("several clouds are read as one spray: {}", names.join(", ")));
     }
     let Some(first) = step.files.first() else {
         return Err(SceneError::missing(Path::new("."), "a file of this time", "Check the path"));
@@ -108,11 +126,15 @@ fn steps_of(files: &[PathBuf]) -> Result<Vec<Step>, SceneError> {
     for file in files {
         let time_s = time_of(file)?;
         let mut all = vec![file.clone()];
-        if !is_cloud_file(file) {
+        let is_cloud = is_cloud_file(file);
+        if !is_cloud {
             all.extend(clouds_beside(file)?);
         }
         match steps.iter_mut().find(|s| (s.time_s - time_s).abs() <= 1e-9 * time_s.abs()) {
-            Some(step) if is_cloud_file(file) => step.files.extend(all),
+            Some(step) if is_cloud || step.files.iter().all(|f| is_cloud_file(f)) => {
+                all.retain(|f| !step.files.contains(f));
+                step.files.extend(all);
+            }
             _ => steps.push(Step { time_s, files: all }),
         }
     }
@@ -121,7 +143,8 @@ fn steps_of(files: &[PathBuf]) -> Result<Vec<Step>, SceneError> {
 }
 
 fn is_cloud_file(file: &Path) -> bool {
-    file.extension().is_some_and(|e| e.eq_ignore_ascii_case("vtp"))
+    let ending = file.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    ending == "vtp" || (ending == "vtk" && legacy::is_poly_data(file))
 }
 
 /// The time that a `.series` beside the file or the file itself tells; 0 if neither does.
@@ -129,7 +152,7 @@ fn time_of(file: &Path) -> Result<f64, SceneError> {
     let folder = file.parent().unwrap_or(Path::new("."));
     let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     if file.is_file() {
-        for entry in super::names(folder)?.iter().filter(|n| n.ends_with(".series")) {
+        for entry in super::names(folder)?.iter().filter(|n| is_series(&n.to_ascii_lowercase())) {
             if let Some((_, time_s)) = series(&folder.join(entry))?.into_iter().find(|(n, _)| *n == name) {
                 return Ok(time_s);
             }

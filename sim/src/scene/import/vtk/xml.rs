@@ -258,7 +258,9 @@ impl<'a> Document<'a> {
                 .map(|&p| usize::try_from(p).ok())
                 .collect::<Option<_>>()
                 .ok_or_else(|| broken(index))?;
-            let faces = if kind == 42 {
+            let faces = if kind == 42 && topology.contains_key("polyhedron_offsets") {
+                self.polyhedron(topology, index).ok_or_else(|| broken(index))?
+            } else if kind == 42 {
                 let (faces, ends) = (need("faces")?, need("faceoffsets")?);
                 // faceoffsets hold the end of each polyhedron's faces, −1 for other cells.
                 let before =
@@ -274,6 +276,24 @@ impl<'a> Document<'a> {
             start = end;
         }
         Ok(cells)
+    }
+
+    /// Faces of a polyhedron in the way of files since VTK 9.4: cells list faces, faces list points.
+    fn polyhedron(&self, topology: &BTreeMap<String, Vec<i64>>, index: usize) -> Option<Vec<Vec<usize>>> {
+        let list = |ends: &str, items: &str, index: usize| -> Option<Vec<usize>> {
+            let ends = topology.get(ends)?;
+            let start =
+                index.checked_sub(1).map_or(Some(0), |before| usize::try_from(*ends.get(before)?).ok())?;
+            let end = usize::try_from(*ends.get(index)?).ok()?;
+            let items = topology.get(items)?.get(start..end)?;
+            items.iter().map(|&i| usize::try_from(i).ok()).collect()
+        };
+        let faces = list("polyhedron_offsets", "polyhedron_to_faces", index)?;
+        let faces: Vec<Vec<usize>> = faces
+            .into_iter()
+            .map(|face| list("face_offsets", "face_connectivity", face))
+            .collect::<Option<_>>()?;
+        (!faces.is_empty() && faces.iter().all(|f| !f.is_empty())).then_some(faces)
     }
 
     /// The numbers of a data array.
