@@ -3,6 +3,7 @@
 //! Every time is the minimum of several runs: what else the machine does can only make it longer.
 
 mod mie;
+mod render;
 
 use super::{CommandResult, print};
 use crate::clock::Clock;
@@ -29,6 +30,14 @@ pub struct Args {
 enum Task {
     /// Mie theory: tables of spheres, single spheres, angles, size distributions on one thread; clouds on all
     Mie(Output),
+    /// The ray tracer: coefficient images of eight plumes, time against error; takes some minutes
+    Render {
+        #[command(flatten)]
+        output: Output,
+        /// Also write the scene into this folder, as `ditd render` and other programs read it
+        #[arg(long, value_name = "DIR")]
+        export: Option<std::path::PathBuf>,
+    },
 }
 
 #[derive(Debug, clap::Args)]
@@ -66,8 +75,11 @@ pub fn run(args: &Args, clock: &Clock) -> CommandResult {
     if cfg!(debug_assertions) {
         eprintln!("ditd bench: this is a development build; figures are those of `cargo build --release`");
     }
-    let Task::Mie(output) = &args.task;
-    let figures = mie::figures(&Watch { clock, seconds: SECONDS })?;
+    let watch = Watch { clock, seconds: SECONDS };
+    let (output, figures) = match &args.task {
+        Task::Mie(output) => (output, mie::figures(&watch)?),
+        Task::Render { output, export } => (output, render::figures(&watch, export.as_deref())?),
+    };
     if output.json { print(&format!("{}\n", serde_json::json!(figures))) } else { print(&table(&figures)) }
 }
 
@@ -79,6 +91,17 @@ struct Watch<'a> {
 }
 
 impl Watch<'_> {
+    /// Minimum time of a few runs of long work, s.
+    fn best_of(&self, runs: u32, mut work: impl FnMut()) -> f64 {
+        let mut best = f64::INFINITY;
+        for _ in 0..runs {
+            let begin = self.clock.elapsed().as_secs_f64();
+            work();
+            best = best.min(self.clock.elapsed().as_secs_f64() - begin);
+        }
+        best
+    }
+
     /// Minimum time of `work`, s. It runs twice before, so that nothing is cold.
     fn fastest(&self, mut work: impl FnMut()) -> f64 {
         let now = || self.clock.elapsed().as_secs_f64();

@@ -11,6 +11,7 @@ use ditd_sim::tracer::image::{RenderOptions, render_image};
 use ditd_sim::tracer::medium::{EMPTY, GridMedium};
 use ditd_sim::tracer::plate::{Plate, PlateShape};
 use ditd_sim::tracer::rays::{RayAnswer, RayOptions, render_rays};
+use ditd_sim::tracer::reference::render_reference;
 use ditd_sim::tracer::shape::Body;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -283,8 +284,8 @@ fn image(mut scene: Scene, args: &Args) -> CommandResult {
     }
     let target = args.target_error.unwrap_or(IMAGE_TARGET);
     let gridded = !matches!(&scene.medium, Some(MediumSource::Shape(..)));
-    let (shares, mut stats) = if gridded && !args.reference {
-        fast(&scene, &camera, target, args.seed)?
+    let (shares, mut stats) = if gridded {
+        operator(&scene, &camera, target, args)?
     } else {
         pixel_by_pixel(&scene, &camera, target, args.seed)?
     };
@@ -451,16 +452,26 @@ fn deposit_stats(report: &DepositReport) -> Vec<(String, f64)> {
 /// Shares of every pixel and group, and what was done.
 type Rendered = (Vec<Vec<Share>>, Vec<(String, f64)>);
 
-fn fast(scene: &Scene, camera: &Camera, target_error: f64, seed: u64) -> Result<Rendered, CommandError> {
+/// The image of a gridded medium: by the cache, or with `--reference` pixel by pixel.
+fn operator(
+    scene: &Scene,
+    camera: &Camera,
+    target_error: f64,
+    args: &Args,
+) -> Result<Rendered, CommandError> {
     let empty = nothing();
     let medium = match &scene.medium {
         Some(MediumSource::Grid(grid, _) | MediumSource::Spectral(grid, _)) => grid.as_ref(),
         _ => &empty,
     };
     let plate: Option<&PlateShape> = scene.plate.as_ref().map(|p| &p.shape);
-    let options = RenderOptions { target_error, seed, ..RenderOptions::default() };
-    let operator = render_image(medium, camera, plate, &options, &|_| {})
-        .map_err(|e| CommandError::usage(format!("render: {e}")))?;
+    let options = RenderOptions { target_error, seed: args.seed, ..RenderOptions::default() };
+    let operator = if args.reference {
+        render_reference(medium, camera, plate, &options, None, &|_| {})
+    } else {
+        render_image(medium, camera, plate, &options, &|_| {})
+    };
+    let operator = operator.map_err(|e| CommandError::usage(format!("render: {e}")))?;
     let groups = operator.groups;
     let mut shares: Vec<Vec<Share>> = operator
         .plate_seen
@@ -490,7 +501,7 @@ fn fast(scene: &Scene, camera: &Camera, target_error: f64, seed: u64) -> Result<
     Ok((shares, operator.stats))
 }
 
-/// Every pixel as a ray of its own through its centre.
+/// Analytic shapes: every pixel as a ray of its own through its centre.
 #[expect(clippy::cast_precision_loss, reason = "images are smaller than 2^53")]
 fn pixel_by_pixel(scene: &Scene, camera: &Camera, target: f64, seed: u64) -> Result<Rendered, CommandError> {
     let sights = camera.sights().map_err(|e| CommandError::usage(format!("render: {e}")))?;
