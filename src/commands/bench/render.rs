@@ -17,10 +17,19 @@ use ditd_sim::tracer::relight::Lighting;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Pixels that are traced one by one, and the error of each.
-const JUDGED: usize = 1000;
-const JUDGE_TARGET: f64 = 5e-4;
+/// Pixels that are traced one by one, the error of each, and its paths at most: for the standard scene and for others.
+const JUDGES: [Judge; 2] = [
+    Judge { pixels: 3000, target: 5e-4, paths_max: 1 << 17 },
+    Judge { pixels: 1000, target: 1e-3, paths_max: 1 << 14 },
+];
 const SEED: u64 = 1;
+
+struct Judge {
+    /// Pixels of the image; a third of them meets the medium.
+    pixels: usize,
+    target: f64,
+    paths_max: u64,
+}
 
 /// The scene and what may be changed of it.
 #[derive(Debug, Clone, Copy)]
@@ -51,6 +60,9 @@ pub(super) fn figures(watch: &Watch<'_>, export: Option<&Path>) -> Result<Vec<Fi
     let mut figures = Vec::new();
     let mut add = |list: Result<Vec<Figure>, TracerError>| {
         let list = list.map_err(|e| CommandError::failure(format!("bench render: {e}")))?;
+        for figure in &list {
+            eprintln!("{}: {:.3} s, {}", figure.name, figure.seconds, figure.error_kind);
+        }
         figures.extend(list);
         Ok::<(), CommandError>(())
     };
@@ -72,7 +84,7 @@ pub(super) fn figures(watch: &Watch<'_>, export: Option<&Path>) -> Result<Vec<Fi
 /// Time against error of the whole operator, and of what is done with it.
 fn targets(watch: &Watch<'_>) -> Result<Vec<Figure>, TracerError> {
     let medium = STANDARD.medium()?;
-    let judge = judge(&medium)?;
+    let judge = judge(&medium, &JUDGES[0])?;
     let mut figures = Vec::new();
     for target in [4e-2, 4e-3, 1e-3, 5e-4, 2.5e-4] {
         let (seconds, image) = timed(watch, &medium, target, true)?;
@@ -86,7 +98,7 @@ fn targets(watch: &Watch<'_>) -> Result<Vec<Figure>, TracerError> {
 /// Emission and absorption alone.
 fn straight(watch: &Watch<'_>) -> Result<Vec<Figure>, TracerError> {
     let medium = Plumes { albedo: 0.0, ..STANDARD }.medium()?;
-    let judge = judge(&medium)?;
+    let judge = judge(&medium, &JUDGES[1])?;
     let mut figures = Vec::new();
     for target in [4e-3, 1e-3] {
         let (seconds, image) = timed(watch, &medium, target, false)?;
@@ -109,7 +121,7 @@ fn bands(watch: &Watch<'_>) -> Result<Vec<Figure>, TracerError> {
 
 fn variant(watch: &Watch<'_>, name: &str, plumes: Plumes) -> Result<Vec<Figure>, TracerError> {
     let medium = plumes.medium()?;
-    let judge = judge(&medium)?;
+    let judge = judge(&medium, &JUDGES[1])?;
     let (seconds, image) = timed(watch, &medium, 1e-3, true)?;
     Ok(vec![figure(&format!("{name}, target 1e-3"), seconds, &image, Some(&judge))])
 }
@@ -160,16 +172,16 @@ fn timed(
 }
 
 /// Some pixels traced one by one.
-fn judge(medium: &GridMedium) -> Result<Operator, TracerError> {
+fn judge(medium: &GridMedium, judge: &Judge) -> Result<Operator, TracerError> {
     let camera = camera();
     let pixels = camera.rows * camera.columns;
     // A step that shares no factor with the columns walks over all of them.
     let chosen: Vec<u32> =
-        (0..pixels).step_by(pixels / (3 * JUDGED) | 1).filter_map(|p| u32::try_from(p).ok()).collect();
+        (0..pixels).step_by(pixels / judge.pixels | 1).filter_map(|p| u32::try_from(p).ok()).collect();
     let options = RenderOptions {
-        target_error: JUDGE_TARGET,
+        target_error: judge.target,
         seed: 1234,
-        paths_max: 1 << 18,
+        paths_max: judge.paths_max,
         ..RenderOptions::default()
     };
     render_reference(medium, &camera, Some(&plate()), &options, Some(&chosen), &|_| {})
