@@ -62,8 +62,9 @@ const ALBEDO_SHARE: f64 = 0.1;
 const LEAF: Limits = Limits { depth: 0.3, spread: 0.1 };
 const BLOCK: Limits = Limits { depth: 1.0, spread: 0.04 };
 
-/// Cells are cut into at most so many along an edge, and so many in all.
+/// Cells are cut into at most so many along an edge, down to this optical depth at a target of 1e-3, and so many in all.
 const SUBDIVISION_MAX: usize = 4;
+const SUBDIVIDED_DEPTH: f64 = 0.1;
 const SUBDIVIDED_CELLS_MAX: usize = 1 << 19;
 
 /// How an image is rendered.
@@ -179,7 +180,7 @@ impl Job<'_> {
         let scatters =
             |(&e, &s): (&f64, &f64)| if s > ALBEDO_SHARE * self.options.target_error * e { e } else { 0.0 };
         let most = m.k_ext.par_iter().zip(&m.k_sca).map(scatters).reduce(|| 0.0, f64::max);
-        let wanted = f64::from(LEAF.depth) * (self.options.target_error / 1e-3).sqrt().clamp(0.3, 3.0);
+        let wanted = SUBDIVIDED_DEPTH * (self.options.target_error / 1e-3).sqrt().clamp(0.3, 3.0);
         let mut factor = 1;
         while self.options.scatter
             && factor < SUBDIVISION_MAX
