@@ -4,6 +4,11 @@
 //! smooth media need. Planes between blocks are at the same float whatever level computes them, so that a ray along
 //! faces, edges or through corners takes the same blocks on its way in and out; every loop is bounded.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over axes and rows step through several arrays at once"
+)]
+
 use super::lattice::clip_box;
 use super::vector::{Vector, along};
 
@@ -294,6 +299,7 @@ fn real(n: usize) -> f64 {
 }
 
 #[cfg(test)]
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "cells of a small grid")]
 mod tests {
     use super::*;
 

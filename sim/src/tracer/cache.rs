@@ -30,6 +30,15 @@ pub(super) struct Leaves {
     pub(super) demand: Vec<f32>,
 }
 
+/// Where paths begin.
+pub(super) struct Origin<'a, S> {
+    pub(super) fine: &'a Fine<S>,
+    pub(super) leaves: &'a Leaves,
+    pub(super) sights: &'a Sights,
+    /// Names the random numbers.
+    pub(super) seed: u64,
+}
+
 /// Sums over the paths of every leaf: for each half of them plate, walls and channel 0; together the other channels.
 pub(super) struct Cache<S> {
     /// `[leaf][half]`.
@@ -68,14 +77,12 @@ impl<S: Spectrum> Cache<S> {
     )]
     pub(super) fn add(
         &mut self,
-        fine: &Fine<S>,
-        leaves: &Leaves,
+        from: &Origin<'_, S>,
         world: &World<'_, S>,
-        sights: &Sights,
-        seed: u64,
         samples: f64,
         progress: &(dyn Fn(f64) + Sync),
     ) {
+        let Origin { fine, leaves, sights, seed } = *from;
         let total: f64 = leaves.demand.iter().map(|&d| f64::from(d)).sum();
         if total <= 0.0 {
             return;

@@ -1,5 +1,10 @@
 //! Along the sights of a camera: exact emission and transmission per cell, plus the reconstructed in-scattered light.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over axes and rows step through several arrays at once"
+)]
+
 use super::bricks::{Brick, EDGE, Segment};
 use super::cache::Leaves;
 use super::fine::{CELLS, Fine};

@@ -5,7 +5,7 @@
 //! any number of threads, since every random number is a function of (seed, batch, leaf, sample).
 
 use super::blocks::Blocks;
-use super::cache::{Cache, Leaves};
+use super::cache::{Cache, Leaves, Origin};
 use super::camera::{Camera, PixelFilter};
 use super::cuts::{Limits, cut};
 use super::error::TracerError;
@@ -226,6 +226,7 @@ impl Job<'_> {
             let mut leaves = Leaves { bricks, occupied: fine.occupied.clone(), demand: vec![0.0; count] };
             visibility::demand(fine, &mut leaves, self.frame.sights, self.frame.plate, &probes);
             let world = World { blocks: &blocks, scatter: &scatter, plate: self.frame.plate };
+            let origin = Origin { fine, leaves: &leaves, sights: self.frame.sights, seed: self.options.seed };
             let mut cache = Cache::<S>::new(count, fine.channels);
             let mut wanted = (PILOT_DEVIATION / target).powi(2).clamp(PILOT_MIN, PILOT_MAX);
             let mut round = 0;
@@ -233,15 +234,7 @@ impl Job<'_> {
                 let left = real_wide(self.options.paths_max.saturating_sub(cache.samples));
                 let done = 0.05 + 0.2 * real(rounds.min(4));
                 let told = |p: f64| (self.progress)(done + 0.15 * p);
-                cache.add(
-                    fine,
-                    &leaves,
-                    &world,
-                    self.frame.sights,
-                    self.options.seed,
-                    wanted.min(left),
-                    &told,
-                );
+                cache.add(&origin, &world, wanted.min(left), &told);
                 rounds += 1;
                 round += 1;
                 let scattered = reconstruct(fine, &leaves, &cache);
@@ -417,8 +410,7 @@ impl Job<'_> {
         tell(stats, "error_pixel", rms(0).max(rms(1)));
         let active: Vec<usize> = (0..candidates.len()).filter(|&i| summaries[i].met).collect();
         let operator = self.assemble(fine, plate_seen, candidates, &values, &active);
-        let operator = self.errors(operator, &summaries, &refined, &active, stats);
-        operator
+        self.errors(operator, &summaries, &refined, &active, stats)
     }
 
     /// The sights of some pixels with so many sub-sights per axis; coefficients into `values`, pixel by pixel plate,
@@ -572,7 +564,7 @@ impl Job<'_> {
 
 /// Whether a pixel's errors are followed: for one in 16, of which those nearby are averaged.
 fn with_errors(row: usize, column: usize) -> bool {
-    row % ERROR_STRIDE == 0 && column % ERROR_STRIDE == 0
+    row.is_multiple_of(ERROR_STRIDE) && column.is_multiple_of(ERROR_STRIDE)
 }
 
 /// Whether no leaf can be cut further.

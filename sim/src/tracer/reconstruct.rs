@@ -1,6 +1,11 @@
 //! From the sums of the leaves to in-scattered light anywhere in the medium: shares of plate, walls and medium, mixed
 //! with those of neighbouring leaves as far as noise outweighs their difference, and quadratic inside each leaf.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over axes and rows step through several arrays at once"
+)]
+
 use super::bricks::{EDGE, EDGE_LOG, NONE};
 use super::cache::{Cache, Leaves, owners};
 use super::fine::Fine;
@@ -144,7 +149,7 @@ fn places<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, owner: &[u32]) -> Vec<Pl
             let alike = |l: usize| bricks.list[leaves.occupied[owner[l] as usize]].log == bricks.list[b].log;
             let beside = [0, 1, 2, 3, 4, 5].map(|k: usize| {
                 let mut at = middle;
-                at[k / 2] += if k % 2 == 0 { -1.0 } else { 1.0 } * 0.5 * (real(edge) + 1.0);
+                at[k / 2] += if k.is_multiple_of(2) { -1.0 } else { 1.0 } * 0.5 * (real(edge) + 1.0);
                 leaf_at(leaves, at).filter(|&l| depths[l] > 0.0 && alike(l)).map_or(NONE, |l| l as u32)
             });
             let open = (-DECAY * depths[leaf] * size * narrow(real(edge))).exp();

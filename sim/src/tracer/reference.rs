@@ -148,8 +148,8 @@ fn one<S: Spectrum>(
     let mut errors = [0.0; 2];
     loop {
         let next = if points == 0 { FIRST_POINTS } else { points * 2 };
-        for (r, (rows, sums)) in replicates.iter_mut().zip(&mut sums).enumerate() {
-            let sequence = Sequence::new(sobol::sequence(options.seed, pixel, r as u32));
+        for (r, (rows, sums)) in (0..).zip(replicates.iter_mut().zip(&mut sums)) {
+            let sequence = Sequence::new(sobol::sequence(options.seed, pixel, r));
             let mut run = sequence.from(points);
             for _ in points..next {
                 let at = run.next();

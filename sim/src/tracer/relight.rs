@@ -126,6 +126,7 @@ fn narrow(value: f64) -> f32 {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "exact numbers")]
 mod tests {
     use super::*;
 

@@ -149,7 +149,7 @@ mod tests {
             let u = (f64::from(i) + 0.5) / 100.0;
             let (cosine, weight) = scatter.sample(u, 0.5);
             assert_eq!(cosine.to_bits(), phases[0].sample(u).to_bits());
-            assert_eq!(weight.get(0), 1.0);
+            assert_eq!(weight.get(0).to_bits(), 1.0_f32.to_bits());
         }
     }
 

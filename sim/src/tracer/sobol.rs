@@ -130,14 +130,14 @@ impl Run<'_> {
     #[inline(always)]
     pub(super) fn next(&mut self) -> Coordinates {
         let mut bits = [0; SOBOL_DIMENSIONS];
-        for d in 0..SOBOL_DIMENSIONS {
-            bits[d] = scramble_reversed(self.state[d], self.sequence.keys[d]);
+        for (bits, (state, key)) in bits.iter_mut().zip(self.state.iter().zip(&self.sequence.keys)) {
+            *bits = scramble_reversed(*state, *key);
         }
         let index = self.index;
         self.index = index.wrapping_add(1);
         let step = &STEPS[(self.index.trailing_zeros() as usize).min(31)];
-        for d in 0..SOBOL_DIMENSIONS {
-            self.state[d] ^= step[d];
+        for (state, step) in self.state.iter_mut().zip(step) {
+            *state ^= step;
         }
         Coordinates { bits, seed: self.sequence.seed, index }
     }

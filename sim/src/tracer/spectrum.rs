@@ -342,6 +342,6 @@ mod tests {
             assert_eq!((through.get(g), stopped.get(g)), (one.get(0), rest.get(0)));
         }
         assert!((lanes.sum() - 16.0 * 3.7).abs() < 1e-5);
-        assert_eq!(lanes.minus(<[Lane; 2]>::splat(1.7)).largest(), 3.7_f32 - 1.7);
+        assert_eq!(lanes.minus(<[Lane; 2]>::splat(1.7)), <[Lane; 2]>::splat(3.7 - 1.7));
     }
 }

@@ -174,7 +174,7 @@ fn judge(medium: &GridMedium, judge: &Judge) -> Result<Operator, TracerError> {
     let pixels = camera.rows * camera.columns;
     // A step that shares no factor with the columns walks over all of them.
     let chosen: Vec<u32> =
-        (0..pixels).step_by(pixels / judge.pixels | 1).filter_map(|p| u32::try_from(p).ok()).collect();
+        (0..pixels).step_by((pixels / judge.pixels) | 1).filter_map(|p| u32::try_from(p).ok()).collect();
     let options = RenderOptions {
         target_error: judge.target,
         seed: 1234,
