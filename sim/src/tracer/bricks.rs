@@ -1,8 +1,8 @@
 //! A two-level grid: bricks of 8³ cells, each cut into 1, 2, 4 or 8 blocks along its edges, empty bricks left out.
 //!
 //! Shallow trees are traversed faster than pointer octrees, and a brick's own resolution is all the adaptivity that
-//! smooth media need. Planes between blocks are at the same float whatever level computes them, so that a ray along
-//! faces, edges or through corners takes the same blocks on its way in and out; every loop is bounded.
+//! smooth media need. Steps are added up within a brick only, and a ray leaves a brick where the coarse level says, so
+//! that segments add up to the chord along faces, edges and through corners; every loop is bounded.
 
 #![expect(
     clippy::needless_range_loop,

@@ -442,7 +442,7 @@ impl Job<'_> {
                         let ray = self.frame.sights.ray(r, c);
                         let share = match shares {
                             None => 1.0,
-                            Some([on, off]) if self.frame.sees(r, c) => on.max(off.min(0.0)),
+                            Some([on, _]) if self.frame.sees(r, c) => on,
                             Some([_, off]) => off,
                         };
                         if with_errors(row, column) {
