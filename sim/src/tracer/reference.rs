@@ -187,8 +187,9 @@ fn one<S: Spectrum>(
     for c in 0..channels {
         values.extend((0..groups).map(|g| narrow(total(MEDIUM + c, g))));
     }
-    for c in 0..channels {
-        values.extend((0..groups).map(|g| sight.direct[c].get(g) / sight.weight));
+    values.extend((0..groups).map(|g| sight.direct.get(g) / sight.weight));
+    for [direct, _] in &sight.extra {
+        values.extend((0..groups).map(|g| direct.get(g) / sight.weight));
     }
     Answer {
         values,
