@@ -23,7 +23,7 @@ const TARGETS_STRAIGHT: [f64; 4] = [4e-3, 1e-3, 3e-4, 1e-4];
 const TARGETS_REFERENCE: [f64; 4] = [1e-2, 5e-3, 2.5e-3, 1.25e-3];
 
 /// How closely scenes are looked at: the standard one, those without scattering, and others.
-const STANDARD_SCRUTINY: Scrutiny = Scrutiny { pixels: 1500, target: 5e-4, paths_max: 1 << 20 };
+const STANDARD_SCRUTINY: Scrutiny = Scrutiny { pixels: 1500, target: 2.5e-4, paths_max: 1 << 22 };
 const STRAIGHT_SCRUTINY: Scrutiny = Scrutiny { pixels: 1500, target: 3e-5, paths_max: 1 << 16 };
 const SWEEP_SCRUTINY: Scrutiny = Scrutiny { pixels: 700, target: 1e-3, paths_max: 1 << 20 };
 
@@ -88,10 +88,7 @@ pub(super) fn targets(watch: &Watch<'_>, standard: &Standard) -> Result<Findings
     );
     findings.pages.push(Page {
         name: "render_targets",
-        sheet: beside(
-            "image mode: 128³ cells, optical depth 5, albedo 0.5",
-            [against_time, against_target],
-        ),
+        sheet: beside("image mode: 128³ cells, optical depth 5, albedo 0.5", [against_time, against_target]),
     });
     findings.fronts.push(front_of("image, with scattering", &samples));
     Ok(findings)

@@ -92,11 +92,7 @@ pub(super) fn figures(watch: &Watch<'_>, args: &Args) -> Result<Vec<Figure>, Com
     Ok(figures)
 }
 
-fn run(
-    watch: &Watch<'_>,
-    subject: Subject,
-    standard: &image::Standard,
-) -> Result<Findings, CommandError> {
+fn run(watch: &Watch<'_>, subject: Subject, standard: &image::Standard) -> Result<Findings, CommandError> {
     match subject {
         Subject::Targets => image::targets(watch, standard),
         Subject::Straight => image::straight(watch),

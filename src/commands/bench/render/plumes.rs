@@ -124,11 +124,8 @@ impl Plumes {
             all.flat_map_iter(|&k| shares.iter().map(move |[scale, albedo]| value(k * scale, *albedo)))
                 .collect()
         };
-        let [k_ext, k_sca, emission] = [
-            each(&|k, _| k),
-            each(&|k, albedo| k * albedo),
-            each(&|k, albedo| k - k * albedo),
-        ];
+        let [k_ext, k_sca, emission] =
+            [each(&|k, _| k), each(&|k, albedo| k * albedo), each(&|k, albedo| k - k * albedo)];
         GridMedium { index: probe.index, k_ext, k_sca, emission, ..self.empty() }
     }
 }
