@@ -342,7 +342,7 @@ mod tests {
     #[test]
     fn a_parcel_behind_walls_stays_in_its_cell() {
         let grid = Grid { lower_m: [0.0; 3], upper_m: [0.01; 3], cells: [10; 3] };
-        let parcels = [cloud(1)[0]];
+        let parcels = [Parcel { temperature_k: 361.0, ..cloud(1)[0] }];
         let kinds = spread(&grid, &parcels, &[(1e-3, 0.0)], &|_| false).unwrap();
         // Its temperature lies between those of two kinds.
         assert!(kinds.lists.iter().all(|list| list.len() == 1) && kinds.error < 1e-12);
