@@ -102,7 +102,7 @@ pub(super) fn spread(pixels: usize) -> Vec<u32> {
     let all = camera.rows * camera.columns;
     let columns = camera.columns;
     let mut step = (all / pixels.max(1)).max(1);
-    while (2..=step).any(|d| step % d == 0 && columns % d == 0) {
+    while (2..=step).any(|d| step.is_multiple_of(d) && columns.is_multiple_of(d)) {
         step += 1;
     }
     (0..all).step_by(step).filter_map(|pixel| u32::try_from(pixel).ok()).collect()
