@@ -37,6 +37,9 @@ const CHORDS: u32 = 64;
 const CHORD_PLACES: usize = 8;
 const HALVINGS: usize = 8;
 
+/// Along which neighbours are pooled: rows and columns.
+const DIRECTIONS: [[isize; 2]; 4] = [[0, 1], [1, 0], [1, 1], [1, -1]];
+
 /// Corners of the polygon around the aperture.
 const CORNERS: usize = 8;
 
@@ -312,7 +315,7 @@ impl Job<'_> {
 }
 
 /// Errors of the means of the open ones of some pixels: rms of half the differences of their halves (`squares`, of all)
-/// over the pixels around each. Keeps those open around which one is above the tolerance.
+/// over the pixels to either side of each, in that direction where it is largest: blurred edges err along a line. Keeps those open around which one is above the tolerance.
 pub(super) fn pool(
     [rows, columns]: [usize; 2],
     pixels: &[u32],
@@ -331,13 +334,24 @@ pub(super) fn pool(
     for (&pixel, square) in pixels.iter().zip(squares) {
         image[pixel as usize] = *square;
     }
+    let reach = REACH.cast_signed();
+    let inside =
+        |start: usize, step: isize, end: usize| start.checked_add_signed(step).filter(|&at| at < end);
     let pooled = |&i: &usize| {
-        let (mut sum, mut n) = ([0.0_f32; ROWS], 0.0_f32);
-        for square in around(pixels[i]).map(|p| image[p]).filter(|s| !s[0].is_nan()) {
-            sum = [sum[0] + square[0], sum[1] + square[1]];
-            n += 1.0;
-        }
-        sum.map(|s| (s / n.max(1.0)).sqrt())
+        let (row, column) = (pixels[i] as usize / columns, pixels[i] as usize % columns);
+        DIRECTIONS.iter().fold([0.0_f32; ROWS], |most, direction| {
+            let (mut sum, mut n) = ([0.0_f32; ROWS], 0.0_f32);
+            for step in -reach..=reach {
+                let [r, c] = direction.map(|d| d * step);
+                let (Some(r), Some(c)) = (inside(row, r, rows), inside(column, c, columns)) else { continue };
+                let square = image[r * columns + c];
+                if !square[0].is_nan() {
+                    sum = [sum[0] + square[0], sum[1] + square[1]];
+                    n += 1.0;
+                }
+            }
+            [0, 1].map(|k: usize| most[k].max((sum[k] / n.max(1.0)).sqrt()))
+        })
     };
     let found: Vec<[f32; ROWS]> = open.par_iter().with_min_len(256).map(pooled).collect();
     let mut above = vec![false; rows * columns];
