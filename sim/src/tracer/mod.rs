@@ -17,6 +17,7 @@ pub mod shape;
 pub mod uneven;
 
 mod blocks;
+mod blur;
 mod bricks;
 mod cache;
 mod chord;
