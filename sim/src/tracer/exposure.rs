@@ -18,19 +18,19 @@ use rayon::prelude::*;
 const TASK_SIGHTS: usize = 256;
 
 /// Share of the target that the means over the pixels may err, rms; where nothing is scattered nothing else errs.
-const PIXEL_SHARE: f32 = 0.5;
+pub(super) const PIXEL_SHARE: f32 = 0.5;
 const PIXEL_SHARE_ALONE: f32 = 0.8;
 
 /// What is known of a pixel besides its coefficients.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(super) struct Summary {
     /// Plate and medium, mean over the groups.
     pub(super) shown: [f32; ROWS],
     /// Noise and bias of plate and medium, single draws.
     pub(super) errors: [[f32; ROWS]; 2],
-    met: bool,
-    sights: u32,
-    cells: u32,
+    pub(super) met: bool,
+    pub(super) sights: u32,
+    pub(super) cells: u32,
 }
 
 impl Job<'_> {
@@ -249,7 +249,7 @@ impl Job<'_> {
         (hits > 0 && misses > 0).then(|| [seen / narrow(real(hits)), (1.0 - seen) / narrow(real(misses))])
     }
 
-    fn assemble<S: Spectrum>(
+    pub(super) fn assemble<S: Spectrum>(
         &self,
         fine: &Fine<S>,
         plate_seen: Vec<f32>,
@@ -297,9 +297,8 @@ struct Taken {
 impl Taken {
     fn new(groups: usize, channels: usize, candidates: usize) -> Self {
         let width = groups * (1 + 2 * channels);
-        let nothing =
-            Summary { shown: [0.0; ROWS], errors: [[0.0; ROWS]; 2], met: false, sights: 0, cells: 0 };
-        Self { values: vec![0.0; candidates * width], width, groups, summaries: vec![nothing; candidates] }
+        let summaries = vec![Summary::default(); candidates];
+        Self { values: vec![0.0; candidates * width], width, groups, summaries }
     }
 
     /// Interpolates the candidates that got no sight; their number.
@@ -387,7 +386,7 @@ impl Aims<'_> {
 }
 
 /// A complete sight as coefficients.
-fn finish<S: Spectrum>(sight: &Sight<S>, groups: usize, values: &mut [f32]) -> Summary {
+pub(super) fn finish<S: Spectrum>(sight: &Sight<S>, groups: usize, values: &mut [f32]) -> Summary {
     let share = 1.0 / sight.weight.max(f32::MIN_POSITIVE);
     let channels = 1 + sight.extra.len();
     let mut shown = [0.0; ROWS];

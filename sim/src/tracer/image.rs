@@ -36,11 +36,23 @@ pub struct RenderOptions {
     pub scatter: bool,
     /// Upper limit of the number of paths; when it is reached the operator's errors say so.
     pub paths_max: u64,
+    /// How far the medium moves during the exposure, in metres; zero: it stands still. The exposure is centred at the
+    /// medium's own moment, and the light scattered into the sights is that of this moment: what changes evenly cancels.
+    pub motion_m: [f64; 3],
 }
 
 impl Default for RenderOptions {
     fn default() -> Self {
-        Self { target_error: 1e-3, seed: 1, scatter: true, paths_max: 1 << 28 }
+        Self { target_error: 1e-3, seed: 1, scatter: true, paths_max: 1 << 28, motion_m: [0.0; 3] }
+    }
+}
+
+impl RenderOptions {
+    pub(super) fn check_motion(&self) -> Result<(), TracerError> {
+        if self.motion_m.iter().all(|c| c.is_finite()) {
+            return Ok(());
+        }
+        Err(TracerError::Geometry { what: "the medium's motion during the exposure", condition: "finite" })
     }
 }
 
@@ -62,9 +74,10 @@ pub fn render_image(
     if options.target_error.is_nan() || options.target_error <= 0.0 {
         return Err(TracerError::Geometry { what: "the target error", condition: "positive" });
     }
+    options.check_motion()?;
     let sights = camera.sights()?;
     let plate = plate.map(Plate::new).transpose()?;
-    let frame = Frame { camera, sights: &sights, plate: plate.as_ref() };
+    let frame = Frame { camera, sights: &sights, plate: plate.as_ref(), motion: options.motion_m };
     let job = Job { medium, frame, options, progress };
     match medium.groups {
         1 => Ok(job.render::<One>()),
@@ -101,7 +114,11 @@ impl Job<'_> {
         tell(&mut stats, "bricks_skipped", real(fine.bricks.list.len() - fine.occupied.len()));
         (self.progress)(0.05);
         let lit = self.lit(&fine, &candidates, &mut stats);
-        let mut operator = self.gather(&fine, lit.as_ref(), plate_seen, &candidates, &mut stats);
+        let mut operator = if self.frame.spreads() {
+            self.gather_spread(&fine, lit.as_ref(), plate_seen, &candidates, &mut stats)
+        } else {
+            self.gather(&fine, lit.as_ref(), plate_seen, &candidates, &mut stats)
+        };
         stats.insert(0, ("pixels".to_owned(), real(pixels)));
         stats.insert(1, ("pixels_active".to_owned(), real(operator.pixels.len())));
         stats.insert(2, ("pixels_skipped".to_owned(), real(pixels - operator.pixels.len())));

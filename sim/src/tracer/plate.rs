@@ -158,6 +158,28 @@ impl Plate {
         }
     }
 
+    /// Where the ray meets its plane from the front, in half widths (or radii) to the right and half heights up, as seen
+    /// from the front; none for a cone, and for rays that do not meet it so.
+    pub(super) fn place(&self, origin: Vector, direction: Vector) -> Option<[f64; 2]> {
+        let halves = match self.form {
+            Form::Rectangle { half_width, half_height } => [half_width, half_height],
+            Form::Disc { radius } => [radius; 2],
+            Form::Cone { .. } => return None,
+        };
+        let towards = -dot(self.facing, direction);
+        let distance = dot(self.facing, sub(origin, self.centre)) / towards;
+        if !(towards > 0.0 && distance >= 0.0) {
+            return None;
+        }
+        let place = sub(along(origin, distance, direction), self.centre);
+        Some([dot(place, self.across) / halves[0], dot(place, self.upward) / halves[1]])
+    }
+
+    /// The same plate elsewhere; a cone's directions stay.
+    pub(super) fn moved(&self, by: Vector) -> Self {
+        Self { centre: along(self.centre, 1.0, by), ..self.clone() }
+    }
+
     /// Its centre; none for a cone.
     pub(super) fn centre(&self) -> Option<Vector> {
         (!matches!(self.form, Form::Cone { .. })).then_some(self.centre)

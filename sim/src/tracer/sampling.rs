@@ -163,13 +163,17 @@ impl Job<'_> {
         } else {
             4
         };
-        candidates
+        let mut probes: Vec<(f64, f64)> = candidates
             .iter()
             .map(|&p| (p as usize / columns, p as usize % columns))
             // Rows are shifted against each other, so that the sights do not line up with the cells.
             .filter(|&(row, column)| row % stride == 0 && (column + row / stride) % stride == 0)
             .flat_map(|(row, column)| sub_sights(row, column, fine_sights))
-            .collect()
+            .collect();
+        if self.frame.spreads() {
+            probes.extend(self.frame.beside(&fine.bricks, stride));
+        }
+        probes
     }
 
     /// Rms noise and reconstruction error over a part of the pixels, the larger ones of plate and medium.

@@ -226,6 +226,7 @@ fn render(
         columns: 640,
         rows: 512,
         pixel_filter: PixelFilter::Box,
+        lens: None,
     };
     let plate = PlateShape::Rectangle {
         centre_m: [0.0, 0.2, -0.025],

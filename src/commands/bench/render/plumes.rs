@@ -46,6 +46,7 @@ pub(super) fn camera() -> Camera {
         columns: 640,
         rows: 512,
         pixel_filter: PixelFilter::Box,
+        lens: None,
     }
 }
 
