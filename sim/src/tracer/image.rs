@@ -11,6 +11,7 @@ use super::medium::GridMedium;
 use super::operator::Operator;
 use super::pixels::Frame;
 use super::plate::{Plate, PlateShape};
+use super::sampling::Lit;
 use super::spectrum::{Lane, One, Spectrum};
 use rayon::prelude::*;
 
@@ -70,6 +71,32 @@ pub fn render_image(
     options: &RenderOptions,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<Operator, TracerError> {
+    let mut image = None;
+    let mut take = |operator| image = Some(operator);
+    render_shots(medium, camera, plate, options, &mut std::iter::empty(), &mut take, progress)?;
+    Ok(image.unwrap_or_default())
+}
+
+/// Renders a medium, and then further shots of it whose densities differ cell by cell; `take` gets all operators in
+/// their order.
+///
+/// `shots` gives the factors of each shot on the densities, one per occupied cell in the medium's order. Only the sights
+/// are followed again: what the surroundings of a place scatter into them is that of the medium itself, which admits an
+/// error of the order of the albedo times the change of the optical depth over a mean free path. The statistics of a shot tell its own work.
+///
+/// # Errors
+///
+/// As [`render_image`]; [`TracerError::Shape`] and [`TracerError::Coefficient`] for factors that do not fit, are negative
+/// or undefined.
+pub fn render_shots(
+    medium: &GridMedium,
+    camera: &Camera,
+    plate: Option<&PlateShape>,
+    options: &RenderOptions,
+    shots: &mut dyn Iterator<Item = Vec<f32>>,
+    take: &mut dyn FnMut(Operator),
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<(), TracerError> {
     medium.check()?;
     if options.target_error.is_nan() || options.target_error <= 0.0 {
         return Err(TracerError::Geometry { what: "the target error", condition: "positive" });
@@ -80,11 +107,11 @@ pub fn render_image(
     let frame = Frame { camera, sights: &sights, plate: plate.as_ref(), motion: options.motion_m };
     let job = Job { medium, frame, options, progress };
     match medium.groups {
-        1 => Ok(job.render::<One>()),
-        2..=8 => Ok(job.render::<[Lane; 1]>()),
-        9..=16 => Ok(job.render::<[Lane; 2]>()),
-        17..=32 => Ok(job.render::<[Lane; 4]>()),
-        33..=64 => Ok(job.render::<[Lane; 8]>()),
+        1 => job.render::<One>(shots, take),
+        2..=8 => job.render::<[Lane; 1]>(shots, take),
+        9..=16 => job.render::<[Lane; 2]>(shots, take),
+        17..=32 => job.render::<[Lane; 4]>(shots, take),
+        33..=64 => job.render::<[Lane; 8]>(shots, take),
         _ => Err(TracerError::Groups { groups: medium.groups, limit: GROUPS_MAX }),
     }
 }
@@ -100,13 +127,16 @@ pub(super) struct Job<'a> {
 pub(super) type Stats = Vec<(String, f64)>;
 
 impl Job<'_> {
-    fn render<S: Spectrum>(&self) -> Operator {
+    fn render<S: Spectrum>(
+        &self,
+        shots: &mut dyn Iterator<Item = Vec<f32>>,
+        take: &mut dyn FnMut(Operator),
+    ) -> Result<(), TracerError> {
         let factor = self.subdivision();
         let fine = Fine::<S>::new(self.medium, factor);
         let mut stats = Stats::new();
         let plate_seen = self.frame.plate_seen();
         let candidates = self.frame.candidates(&fine.bricks, &fine.occupied);
-        let pixels = plate_seen.len();
         tell(&mut stats, "cells", real(self.medium.index.len()));
         tell(&mut stats, "cells_occupied", real(self.medium.occupied()));
         tell(&mut stats, "subdivision", real(factor));
@@ -114,16 +144,34 @@ impl Job<'_> {
         tell(&mut stats, "bricks_skipped", real(fine.bricks.list.len() - fine.occupied.len()));
         (self.progress)(0.05);
         let lit = self.lit(&fine, &candidates, &mut stats);
+        take(self.shown(&fine, lit.as_ref(), plate_seen.clone(), &candidates, stats));
+        (self.progress)(1.0);
+        for factors in shots {
+            let fine = fine.denser(&factors)?;
+            take(self.shown(&fine, lit.as_ref(), plate_seen.clone(), &candidates, Stats::new()));
+        }
+        Ok(())
+    }
+
+    /// The image of a medium whose in-scattered light is known.
+    fn shown<S: Spectrum>(
+        &self,
+        fine: &Fine<S>,
+        lit: Option<&Lit<S>>,
+        plate_seen: Vec<f32>,
+        candidates: &[u32],
+        mut stats: Stats,
+    ) -> Operator {
+        let pixels = plate_seen.len();
         let mut operator = if self.frame.spreads() {
-            self.gather_spread(&fine, lit.as_ref(), plate_seen, &candidates, &mut stats)
+            self.gather_spread(fine, lit, plate_seen, candidates, &mut stats)
         } else {
-            self.gather(&fine, lit.as_ref(), plate_seen, &candidates, &mut stats)
+            self.gather(fine, lit, plate_seen, candidates, &mut stats)
         };
         stats.insert(0, ("pixels".to_owned(), real(pixels)));
         stats.insert(1, ("pixels_active".to_owned(), real(operator.pixels.len())));
         stats.insert(2, ("pixels_skipped".to_owned(), real(pixels - operator.pixels.len())));
         operator.stats = stats;
-        (self.progress)(1.0);
         operator
     }
 

@@ -121,10 +121,8 @@ impl Scale {
         let size = (checks.len() / CLASSES_MAX).max(CLASS_MIN);
         let mut classes: Vec<[f32; 2]> = Vec::new();
         let mut least = 0.0;
-        for class in checks.chunks(size) {
-            if class.len() < size && !classes.is_empty() {
-                break;
-            }
+        // So few checks that they make no class tell nothing.
+        for class in checks.chunks_exact(size) {
             let n = narrow(real(class.len()));
             let difference = class.iter().map(|c| c[0]).sum::<f32>() / n;
             let error = (class.iter().map(|c| c[1] * c[1]).sum::<f32>() / n).sqrt();
