@@ -4,11 +4,13 @@ use super::{CommandError, CommandResult};
 use crate::files::preview::{self, Colours, Preview};
 use ditd_sim::scene::deposit::DepositReport;
 use ditd_sim::scene::file::{self, BandSource, MediumSource, Scene};
-use ditd_sim::scene::lights::{Lights, Share};
+use ditd_sim::scene::lights::{EndShares, Lights, Share};
 use ditd_sim::scene::optics::{OpticsOptions, OpticsReport, Work};
 use ditd_sim::tracer::camera::Camera;
+use ditd_sim::tracer::chamber::{ENDS, OUTSIDE, SIDE_NAMES, SIDES, Walls};
 use ditd_sim::tracer::image::{RenderOptions, render_image};
 use ditd_sim::tracer::medium::{EMPTY, GridMedium};
+use ditd_sim::tracer::operator::Operator;
 use ditd_sim::tracer::plate::{Plate, PlateShape};
 use ditd_sim::tracer::rays::{RayAnswer, RayOptions, render_rays};
 use ditd_sim::tracer::reference::render_reference;
@@ -100,16 +102,30 @@ fn nothing() -> GridMedium {
     }
 }
 
-/// Traces rays one by one: per ray one share per spectral group, and the paths of all.
+/// What sights collect: per sight one share per spectral group, and the walls one by one where they are told apart.
+struct Collected {
+    shares: Vec<Vec<Share>>,
+    ends: Vec<EndShares>,
+    stats: Vec<(String, f64)>,
+}
+
+impl Collected {
+    fn of(&self, sight: usize) -> (&[Share], Option<&EndShares>) {
+        (&self.shares[sight], self.ends.get(sight))
+    }
+}
+
+/// Traces rays one by one.
 fn trace(
     scene: &Scene,
+    walls: Walls,
     rays: &[([f64; 3], [f64; 3])],
     target_error: f64,
     seed: u64,
-) -> Result<(Vec<Vec<Share>>, u64), CommandError> {
+) -> Result<Collected, CommandError> {
     let usage = |e: ditd_sim::tracer::error::TracerError| CommandError::usage(format!("render: {e}"));
     let plate = scene.plate.as_ref().map(|p| Plate::new(&p.shape)).transpose().map_err(usage)?;
-    let options = RayOptions { target_error, seed, paths_max: RAY_PATHS_MAX, ..RayOptions::default() };
+    let options = RayOptions { target_error, seed, paths_max: RAY_PATHS_MAX, walls, ..RayOptions::default() };
     let empty = nothing();
     let bodies = match &scene.medium {
         Some(MediumSource::Shape(shape, _)) => vec![Body::shape(shape)],
@@ -118,15 +134,30 @@ fn trace(
         Some(MediumSource::Cfd(_) | MediumSource::Parametric(_)) | None => vec![Body::grid(&empty, 0)],
     };
     let mut shares = vec![Vec::new(); rays.len()];
+    let mut ends = vec![EndShares::default(); if walls.apart().is_some() { rays.len() } else { 0 }];
     let mut paths = 0;
+    let groups = bodies.len();
     for body in bodies {
         let answers = render_rays(&body.map_err(usage)?, rays, plate.as_ref(), &options).map_err(usage)?;
         for (shares, answer) in shares.iter_mut().zip(&answers) {
             paths += answer.paths;
             shares.push(share(answer));
         }
+        for (ends, answer) in ends.iter_mut().zip(&answers) {
+            add_ends(ends, answer, groups);
+        }
     }
-    Ok((shares, paths))
+    let stats = vec![("pixels".to_owned(), count(rays.len())), ("paths".to_owned(), paths as f64)];
+    Ok(Collected { shares, ends, stats })
+}
+
+/// Adds one spectral group of a ray; its standard errors become the rms over all groups.
+#[expect(clippy::cast_precision_loss, reason = "groups are few")]
+fn add_ends(ends: &mut EndShares, answer: &RayAnswer, groups: usize) {
+    ends.shares.push(std::array::from_fn(|end| answer.ends[end]));
+    for (sum, se) in ends.se.iter_mut().zip(&answer.se_ends) {
+        *sum = sum.hypot(se / (groups as f64).sqrt());
+    }
 }
 
 fn share(answer: &RayAnswer) -> Share {
@@ -143,12 +174,14 @@ fn share(answer: &RayAnswer) -> Share {
 struct Columns {
     lights: Lights,
     windows: bool,
+    /// Whether the walls of a chamber are told apart.
+    apart: bool,
     /// Spectral groups to list.
     groups: usize,
 }
 
 impl Columns {
-    fn new(scene: &Scene, list_groups: bool) -> Self {
+    fn new(scene: &Scene, list_groups: bool, apart: bool) -> Self {
         let groups = match &scene.medium {
             Some(MediumSource::Spectral(grid, _)) => grid.groups,
             _ => 1,
@@ -156,6 +189,7 @@ impl Columns {
         Self {
             lights: Lights::new(scene),
             windows: scene.windows.any(),
+            apart,
             groups: if list_groups { groups } else { 0 },
         }
     }
@@ -167,8 +201,14 @@ impl Columns {
         if self.windows {
             names.extend([extra[0], extra[1], "se_window"].map(String::from));
         }
+        let ends = || (0..if self.apart { ENDS } else { 0 }).map(end_name);
+        if self.apart {
+            names.extend(ends());
+            names.push("se_wall".to_owned());
+        }
         for g in 0..self.groups {
             names.extend(["a_plate", "a_walls", "a_medium"].map(|n| format!("{n}_g{g:02}")));
+            names.extend(ends().map(|n| format!("{n}_g{g:02}")));
             if self.windows {
                 names.extend(extra.map(|n| format!("{n}_g{g:02}")));
             }
@@ -177,16 +217,24 @@ impl Columns {
         names
     }
 
-    fn values(&self, shares: &[Share]) -> Vec<f64> {
-        let seen = self.lights.see(shares);
+    fn values(&self, (shares, ends): (&[Share], Option<&EndShares>)) -> Vec<f64> {
+        let (seen, by_end) = match ends {
+            Some(ends) => self.lights.see_apart(shares, ends),
+            None => (self.lights.see(shares), [0.0; ENDS]),
+        };
         let [se_plate, se_walls, se_medium, se_window] = seen.se;
         let mut values = vec![seen.plate, seen.walls, seen.medium, se_plate, se_walls, se_medium];
         if self.windows {
             values.extend([seen.window, seen.camera_side, se_window]);
         }
+        if let Some(ends) = ends {
+            values.extend(by_end);
+            values.push(ends.se.iter().copied().fold(0.0, f64::max));
+        }
         for g in 0..self.groups {
             let seen = self.lights.see_group(shares, g);
             values.extend([seen.plate, seen.walls, seen.medium]);
+            values.extend(ends.iter().flat_map(|ends| self.lights.ends_of_group(shares, ends, g)));
             if self.windows {
                 values.extend([seen.window, seen.camera_side]);
             }
@@ -205,10 +253,11 @@ fn single_rays(scene: &Scene, path: &Path, args: &Args) -> CommandResult {
     let text = text.map_err(|e| CommandError::usage(format!("render: reading {}: {e}", path.display())))?;
     let table = RayTable::parse(&text)
         .map_err(|e| CommandError::usage(format!("render: {}: {e}", path.display())))?;
-    let (shares, _) = trace(scene, &table.rays, args.target_error.unwrap_or(RAY_TARGET), args.seed)?;
-    let columns = Columns::new(scene, args.groups);
+    let walls = scene.surroundings(&[]);
+    let collected = trace(scene, walls, &table.rays, args.target_error.unwrap_or(RAY_TARGET), args.seed)?;
+    let columns = Columns::new(scene, args.groups, walls.apart().is_some());
     let names = columns.names();
-    let rows = shares.iter().map(|shares| columns.values(shares));
+    let rows = (0..table.rays.len()).map(|sight| columns.values(collected.of(sight)));
     if args.json {
         let list: Vec<serde_json::Value> = rows
             .map(|row| names.iter().zip(row).map(|(n, v)| (n.clone(), serde_json::json!(v))).collect())
@@ -284,18 +333,25 @@ fn image(mut scene: Scene, args: &Args) -> CommandResult {
     }
     let target = args.target_error.unwrap_or(IMAGE_TARGET);
     let gridded = !matches!(&scene.medium, Some(MediumSource::Shape(..)));
-    let (shares, mut stats) = if gridded {
-        operator(&scene, &camera, target, args)?
+    let walls = scene.surroundings(&temperatures_k);
+    let collected = if gridded {
+        operator(&scene, &camera, walls, target, args)?
     } else {
-        pixel_by_pixel(&scene, &camera, target, args.seed)?
+        pixel_by_pixel(&scene, &camera, walls, target, args.seed)?
     };
+    let mut stats = collected.stats.clone();
+    if scene.chamber.is_some() {
+        // Walls that all shine alike are one.
+        let skipped = if walls.apart().is_some() { 0 } else { SIDES };
+        stats.push(("skipped_walls".to_owned(), count(skipped)));
+    }
     stats.extend(scene.optics.iter().flat_map(optics_stats));
     stats.extend(scene.deposit.iter().flat_map(deposit_stats));
-    let columns = Columns::new(&scene, args.groups);
-    let mut images = Images { channels: channels(&columns, &shares), stats };
+    let columns = Columns::new(&scene, args.groups, walls.apart().is_some());
+    let mut images = Images { channels: channels(&columns, &collected), stats };
     let mut pictures = Vec::new();
     if temperatures_k.is_empty() && columns.lights.lit() {
-        pictures.push(Picture { name: None, values: radiance(&columns.lights, &shares) });
+        pictures.push(Picture { name: None, values: radiance(&columns.lights, &collected) });
     }
     // Transport is linear: the plate's temperature enters only now.
     for &kelvin in &temperatures_k {
@@ -308,7 +364,7 @@ fn image(mut scene: Scene, args: &Args) -> CommandResult {
                 "render: images at plate temperatures need [band], and temperatures of [walls] and [medium]",
             ));
         }
-        pictures.push(Picture { name: Some(kelvin), values: radiance(&lights, &shares) });
+        pictures.push(Picture { name: Some(kelvin), values: radiance(&lights, &collected) });
     }
     for picture in &pictures {
         if let Some(kelvin) = picture.name {
@@ -354,8 +410,23 @@ struct Picture {
     values: Vec<f64>,
 }
 
-fn radiance(lights: &Lights, shares: &[Vec<Share>]) -> Vec<f64> {
-    shares.iter().map(|shares| lights.see(shares).radiance).collect()
+fn radiance(lights: &Lights, collected: &Collected) -> Vec<f64> {
+    (0..collected.shares.len())
+        .map(|sight| match collected.of(sight) {
+            (shares, Some(ends)) => lights.see_apart(shares, ends).0.radiance,
+            (shares, None) => lights.see(shares).radiance,
+        })
+        .collect()
+}
+
+/// The column or channel of a wall, or of the place outside.
+fn end_name(end: usize) -> String {
+    if end == OUTSIDE { "a_outside".to_owned() } else { format!("a_wall_{}", SIDE_NAMES[end]) }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
+fn count(n: usize) -> f64 {
+    n as f64
 }
 
 /// A temperature as part of a name: no dots, which EXR channels cannot have.
@@ -449,23 +520,21 @@ fn deposit_stats(report: &DepositReport) -> Vec<(String, f64)> {
     stats.map(|(name, value)| (name.to_owned(), value)).to_vec()
 }
 
-/// Shares of every pixel and group, and what was done.
-type Rendered = (Vec<Vec<Share>>, Vec<(String, f64)>);
-
 /// The image of a gridded medium: by the cache, or with `--reference` pixel by pixel.
 fn operator(
     scene: &Scene,
     camera: &Camera,
+    walls: Walls,
     target_error: f64,
     args: &Args,
-) -> Result<Rendered, CommandError> {
+) -> Result<Collected, CommandError> {
     let empty = nothing();
     let medium = match &scene.medium {
         Some(MediumSource::Grid(grid, _) | MediumSource::Spectral(grid, _)) => grid.as_ref(),
         _ => &empty,
     };
     let plate: Option<&PlateShape> = scene.plate.as_ref().map(|p| &p.shape);
-    let options = RenderOptions { target_error, seed: args.seed, ..RenderOptions::default() };
+    let options = RenderOptions { target_error, seed: args.seed, walls, ..RenderOptions::default() };
     let operator = if args.reference {
         render_reference(medium, camera, plate, &options, None, &|_| {})
     } else {
@@ -498,27 +567,56 @@ fn operator(
             };
         }
     }
-    Ok((shares, operator.stats))
+    let ends = if walls.apart().is_some() { ends_of(&operator) } else { Vec::new() };
+    Ok(Collected { shares, ends, stats: operator.stats })
+}
+
+/// The walls one by one, of every pixel.
+fn ends_of(operator: &Operator) -> Vec<EndShares> {
+    let groups = operator.groups;
+    let mut ends: Vec<EndShares> = operator
+        .ends_seen
+        .chunks_exact(ENDS)
+        .map(|seen| EndShares {
+            shares: vec![std::array::from_fn(|end| f64::from(seen[end])); groups],
+            se: [0.0; ENDS],
+        })
+        .collect();
+    for (i, &pixel) in operator.pixels.iter().enumerate() {
+        let shares = &operator.a_ends[i * ENDS * groups..(i + 1) * ENDS * groups];
+        ends[pixel as usize] = EndShares {
+            shares: (0..groups)
+                .map(|g| std::array::from_fn(|end| f64::from(shares[end * groups + g])))
+                .collect(),
+            se: [f64::from(operator.error_ends[i]); ENDS],
+        };
+    }
+    ends
 }
 
 /// Analytic shapes: every pixel as a ray of its own through its centre.
 #[expect(clippy::cast_precision_loss, reason = "images are smaller than 2^53")]
-fn pixel_by_pixel(scene: &Scene, camera: &Camera, target: f64, seed: u64) -> Result<Rendered, CommandError> {
+fn pixel_by_pixel(
+    scene: &Scene,
+    camera: &Camera,
+    walls: Walls,
+    target: f64,
+    seed: u64,
+) -> Result<Collected, CommandError> {
     let sights = camera.sights().map_err(|e| CommandError::usage(format!("render: {e}")))?;
     let rays: Vec<_> = (0..camera.rows * camera.columns)
         .map(|i| sights.ray((i / camera.columns) as f64 + 0.5, (i % camera.columns) as f64 + 0.5))
         .collect();
-    let (shares, paths) = trace(scene, &rays, target, seed)?;
-    let stats = vec![("pixels".to_owned(), rays.len() as f64), ("paths".to_owned(), paths as f64)];
-    Ok((shares, stats))
+    trace(scene, walls, &rays, target, seed)
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "EXR images hold f32")]
-fn channels(columns: &Columns, shares: &[Vec<Share>]) -> Vec<(String, Vec<f32>)> {
+fn channels(columns: &Columns, collected: &Collected) -> Vec<(String, Vec<f32>)> {
+    let pixels = collected.shares.len();
     let mut channels: Vec<(String, Vec<f32>)> =
-        columns.names().into_iter().map(|name| (name, Vec::with_capacity(shares.len()))).collect();
-    for shares in shares {
-        for (channel, value) in channels.iter_mut().zip(columns.values(shares)) {
+        columns.names().into_iter().map(|name| (name, Vec::with_capacity(pixels))).collect();
+    for pixel in 0..pixels {
+        for (channel, value) in channels.iter_mut().zip(columns.values(collected.of(pixel))) {
             channel.1.push(value as f32);
         }
     }

@@ -9,11 +9,14 @@
 //! - near: a_* × T_n, a_window += A_n, a_camera_side += R_n (the laboratory, mirrored);
 //! - far: a_plate × T_f, a_walls += a_plate · R_f (the chamber, mirrored), a_window += a_plate · A_f.
 
-use super::file::{MediumSource, Scene, WindowSource};
+use super::enclosure::{BEYOND, Enclosure, PLATE, SOURCES};
+use super::file::{ChamberSource, MediumSource, Scene, WindowSource};
 use crate::light::band::Band;
 use crate::light::planck::{inverse_photon_radiance, photon_radiance};
 use crate::light::window::PlateOptics;
+use crate::tracer::chamber::{ENDS, SIDES};
 use crate::tracer::medium::GridMedium;
+use crate::tracer::plate::Plate;
 
 /// What one sight collects inside the chamber in one spectral group.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -28,6 +31,16 @@ pub struct Share {
     pub emission: f64,
     /// Standard errors of plate, walls and medium.
     pub se: [f64; 3],
+}
+
+/// What one sight collects from each wall of a chamber and from the place outside, ordered as
+/// [`crate::tracer::chamber::ENDS`] says.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EndShares {
+    /// Shares per spectral group; those of a group sum to its [`Share::walls`].
+    pub shares: Vec<[f64; ENDS]>,
+    /// Standard errors.
+    pub se: [f64; ENDS],
 }
 
 /// What the camera sees along one sight. Radiances are NaN where band or temperatures are not given.
@@ -77,10 +90,21 @@ struct Sample {
     radiance: [f64; 6],
 }
 
+/// The walls of a chamber at one wavelength.
+#[derive(Debug, Clone, Copy)]
+struct EndSample {
+    /// Radiances per µm that leave the walls, and of the place outside.
+    radiance: [f64; ENDS],
+    /// Normalised weights.
+    share: [f64; ENDS],
+}
+
 /// The light of a scene's band, temperatures and windows.
 #[derive(Debug, Clone)]
 pub struct Lights {
     samples: Vec<Sample>,
+    /// The walls one by one, and the wall that a far window mirrors; none without a chamber.
+    ends: Option<(Vec<EndSample>, usize)>,
     glow: Glow,
     lit: bool,
 }
@@ -132,6 +156,7 @@ impl Lights {
                 Sample { weight, near, far, share, radiance }
             })
             .collect();
+        let ends = scene.chamber.as_ref().map(|chamber| ends(scene, chamber, &band, &mut samples));
         for k in 0..6 {
             let sum: f64 = samples.iter().map(|s| s.share[k]).sum();
             let response: f64 = samples.iter().map(|s| s.weight).sum();
@@ -149,7 +174,7 @@ impl Lights {
                 Some(MediumSource::Cfd(_) | MediumSource::Parametric(_)) => false,
                 Some(MediumSource::Spectral(..)) | None => true,
             };
-        Self { samples, glow, lit }
+        Self { samples, ends, glow, lit }
     }
 
     /// Whether radiances are known.
@@ -172,6 +197,47 @@ impl Lights {
             seen.se_radiance = f64::NAN;
         }
         seen
+    }
+
+    /// The same where the walls of a chamber are told apart, with the coefficients of the walls and of the place outside,
+    /// whose sum is that of the walls.
+    ///
+    /// Each is weighted over the band with the light that leaves its wall, what it mirrors included. A far window mirrors
+    /// the wall opposite the plate.
+    pub fn see_apart(&self, shares: &[Share], ends: &EndShares) -> (Seen, [f64; ENDS]) {
+        let mut seen = self.see(shares);
+        let Some((lights, opposite)) = &self.ends else { return (seen, [0.0; ENDS]) };
+        assert_eq!(shares.len(), ends.shares.len(), "shares of the walls for every share");
+        let (mut by_end, mut contrast, mut radiance) = ([0.0; ENDS], [0.0; ENDS], 0.0);
+        for (g, (sample, light)) in self.samples.iter().zip(lights).enumerate() {
+            let place = g.min(shares.len() - 1);
+            let through = sample.near.transmittance;
+            for end in 0..ENDS {
+                let mirrored =
+                    if end == *opposite { sample.far.reflectance * shares[place].plate } else { 0.0 };
+                let share = through * (ends.shares[place][end] + mirrored);
+                let more = sample.weight * (light.radiance[end] - sample.radiance[1]);
+                by_end[end] += light.share[end] * share;
+                contrast[end] += through * more;
+                radiance += share * more;
+            }
+        }
+        seen.walls = by_end.iter().sum();
+        seen.radiance += radiance;
+        let error: f64 = contrast.iter().zip(&ends.se).map(|(c, se)| (c * se).powi(2)).sum();
+        seen.se_radiance = seen.se_radiance.hypot(error.sqrt());
+        (seen, by_end)
+    }
+
+    /// Coefficients of the walls and of the place outside in one spectral group; of a gray medium those of the band.
+    pub fn ends_of_group(&self, shares: &[Share], ends: &EndShares, group: usize) -> [f64; ENDS] {
+        let (Some((_, opposite)), true) = (&self.ends, shares.len() > 1) else {
+            return self.see_apart(shares, ends).1;
+        };
+        let Sample { near, far, .. } = &self.samples[group];
+        let mut by_end = ends.shares[group].map(|share| near.transmittance * share);
+        by_end[*opposite] += near.transmittance * far.reflectance * shares[group].plate;
+        by_end
     }
 
     /// Coefficients of one spectral group, its own sum being 1; of a gray medium those of the band.
@@ -244,6 +310,59 @@ impl Lights {
             .sum();
         seen
     }
+}
+
+/// The walls of a chamber one by one, and the wall opposite the plate. Into the samples go what the plate shines with what
+/// it mirrors, and the walls' mean.
+fn ends(
+    scene: &Scene,
+    source: &ChamberSource,
+    band: &Band,
+    samples: &mut [Sample],
+) -> (Vec<EndSample>, usize) {
+    let chamber = &source.chamber;
+    let plate = scene.plate.as_ref().and_then(|p| Plate::new(&p.shape).ok());
+    let enclosure = Enclosure::new(chamber, plate.as_ref());
+    let middle = [0, 1, 2].map(|a: usize| 0.5 * (chamber.lower_m()[a] + chamber.upper_m()[a]));
+    let opposite = plate.as_ref().map_or(0, |p| chamber.end(middle, p.facing()));
+    let emissivity = source.walls.map(|w| w.emissivity);
+    let own = scene.plate.as_ref().map_or(1.0, |p| p.emissivity);
+    let windowed = scene.windows.far.is_some();
+    let mut lights: Vec<EndSample> = samples
+        .iter_mut()
+        .zip(&band.wavelengths_um)
+        .map(|(sample, &um)| {
+            let mut sources = [0.0; SOURCES];
+            for (to, wall) in sources.iter_mut().zip(&source.walls) {
+                *to = photon_radiance(um, wall.temperature_k);
+            }
+            sources[BEYOND] = photon_radiance(um, source.outside_k);
+            // Through a far window the chamber sees the plate, the glass, and itself.
+            let far = sample.far;
+            let absorbs = if windowed { (1.0 - far.reflectance).max(f64::MIN_POSITIVE) } else { own };
+            sources[PLATE] = if windowed {
+                (far.transmittance * sample.radiance[0] + far.absorptance * sample.radiance[4]) / absorbs
+            } else {
+                let kelvin = scene.plate.as_ref().and_then(|p| p.temperature_k);
+                kelvin.map_or(0.0, |t| photon_radiance(um, t))
+            };
+            let (radiance, lit_plate) = enclosure.radiosity(&emissivity, absorbs).lit(&sources);
+            if !windowed {
+                sample.radiance[0] = lit_plate;
+            }
+            let first = radiance[0];
+            sample.radiance[1] =
+                first + radiance[..SIDES].iter().map(|r| r - first).sum::<f64>() / SIDES as f64;
+            let share = radiance
+                .map(|r| if scene.band.is_some() && r > 0.0 { sample.weight * r } else { sample.weight });
+            EndSample { radiance, share }
+        })
+        .collect();
+    for end in 0..ENDS {
+        let sum: f64 = lights.iter().map(|l| l.share[end]).sum();
+        lights.iter_mut().for_each(|l| l.share[end] /= sum);
+    }
+    (lights, opposite)
 }
 
 /// How the medium shines, and the temperature with which its coefficient is weighted over the band.

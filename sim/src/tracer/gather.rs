@@ -7,9 +7,10 @@
 
 use super::bricks::{Brick, EDGE, Segment};
 use super::cache::Leaves;
+use super::chamber::{Chamber, ENDS, SIDES};
 use super::fine::{CELLS, Fine};
 use super::plate::Plate;
-use super::reconstruct::{ROWS, Scattered};
+use super::reconstruct::{InLeaf, ROWS, Scattered};
 use super::spectrum::{Spectrum, narrow};
 use super::vector::Vector;
 
@@ -24,6 +25,8 @@ const MISSED: f32 = 1.2;
 pub(super) struct Field<'a, S> {
     pub(super) fine: &'a Fine<S>,
     pub(super) plate: Option<&'a Plate>,
+    /// The chamber whose walls are told apart, if they are.
+    pub(super) chamber: Option<&'a Chamber>,
     pub(super) light: Option<Light<'a, S>>,
 }
 
@@ -53,6 +56,10 @@ pub(super) struct Sight<S> {
     pub(super) noise: [S; ROWS],
     /// Error of the reconstruction of plate and channel 0: Σ weight · bias of the cache.
     pub(super) bias: [S; ROWS],
+    /// Shares of the walls and of the place outside, up to a factor that closure gives; empty unless they are told apart.
+    pub(super) ends: Vec<S>,
+    /// Noise and error of the reconstruction of the walls' shares: `[noise, bias][wall]`.
+    ends_errors: [[S; SIDES]; 2],
     /// Whether any sight met a cell.
     pub(super) met: bool,
     /// Weight of the sights added.
@@ -64,13 +71,15 @@ pub(super) struct Sight<S> {
 
 impl<S: Spectrum> Sight<S> {
     /// Nothing collected yet.
-    pub(super) fn new(channels: usize) -> Self {
+    pub(super) fn new(channels: usize, apart: bool) -> Self {
         Self {
             plate: S::ZERO,
             emission: vec![S::ZERO; channels],
             direct: vec![S::ZERO; channels],
             noise: [S::ZERO; ROWS],
             bias: [S::ZERO; ROWS],
+            ends: vec![S::ZERO; if apart { ENDS } else { 0 }],
+            ends_errors: [[S::ZERO; SIDES]; 2],
             met: false,
             weight: 0.0,
             sights: 0,
@@ -84,6 +93,10 @@ impl<S: Spectrum> Sight<S> {
         self.emission.iter_mut().chain(&mut self.direct).for_each(|row| *row = S::ZERO);
         self.noise = [S::ZERO; ROWS];
         self.bias = [S::ZERO; ROWS];
+        if !self.ends.is_empty() {
+            self.ends.fill(S::ZERO);
+            self.ends_errors = [[S::ZERO; SIDES]; 2];
+        }
         self.met = false;
         self.weight = 0.0;
     }
@@ -153,6 +166,9 @@ impl<S: Spectrum> Sight<S> {
         self.direct[0] = self.direct[0].plus(own);
         if hit.is_some() {
             self.plate = self.plate.plus(through);
+        } else if let Some(chamber) = field.chamber {
+            let end = &mut self.ends[chamber.end(origin, direction)];
+            *end = end.plus(through);
         }
         self.met |= cells > 0;
         self.weight += share;
@@ -179,24 +195,7 @@ impl<S: Spectrum> Sight<S> {
             let bricks = (in_brick * (1.0 / EDGE as f64)).round();
             offset[a] = narrow(in_brick - bricks * EDGE as f64);
         }
-        let (weight, moment) = (run.weight, run.moment);
-        let edge = narrow(count_up(run.edge));
-        let mut seen = [inside.share[0][0].times(weight), inside.share[1][0].times(weight)];
-        for a in 0..3 {
-            let (x, s) = (offset[a], narrow(step[a]));
-            // Σ weight · x and Σ weight · (x² − edge²/12) along the run, x moving from the first cell's offset.
-            let first = weight.scaled(x).plus_scaled(moment, s);
-            let second = weight
-                .scaled(x * x - edge * edge / 12.0)
-                .plus_scaled(moment, 2.0 * x * s)
-                .plus_scaled(run.second, s * s);
-            for row in 0..ROWS {
-                let share = &inside.share[row];
-                seen[row] = seen[row].plus_product(share[1 + a], first).plus_product(share[4 + a], second);
-            }
-        }
-        // Steep slopes must not make light negative.
-        seen = [seen[0].not_negative(), seen[1].not_negative()];
+        let seen = run.seen(inside, offset, step);
         self.plate = self.plate.plus(seen[0]);
         self.emission[0] = self.emission[0].plus(seen[1]);
         let extra = self.emission.len() - 1;
@@ -210,6 +209,29 @@ impl<S: Spectrum> Sight<S> {
                 self.bias[row] = self.bias[row].plus_product(run.weight, inside.bias[row]);
             }
         }
+        for (axis, leaves) in light.scattered.sides.iter().enumerate() {
+            let inside = &leaves[run.leaf];
+            let seen = run.seen(inside, offset, step);
+            for row in 0..ROWS {
+                let side = 2 * axis + row;
+                self.ends[side] = self.ends[side].plus(seen[row]);
+                if ERRORS {
+                    let [noise, bias] = &mut self.ends_errors;
+                    noise[side] = noise[side].plus_product(run.weight, inside.noise[row]);
+                    bias[side] = bias[side].plus_product(run.weight, inside.bias[row]);
+                }
+            }
+        }
+    }
+
+    /// Of the walls' shares the largest of what [`Sight::errors`] gives of plate and channel 0: `[noise, bias]`.
+    pub(super) fn ends_errors(&self, groups: usize) -> [f32; 2] {
+        if self.ends.is_empty() {
+            return [0.0; 2];
+        }
+        let scale = MISSED / self.weight.max(f32::MIN_POSITIVE);
+        let square = |row: &S| row.times(*row).sum() / count(groups);
+        self.ends_errors.map(|rows| rows.iter().map(square).fold(0.0, f32::max).sqrt() * scale)
     }
 
     /// Rms over the groups of noise and of the reconstruction's error, of plate and channel 0: `[noise, bias][row]`.
@@ -247,6 +269,29 @@ impl<S: Spectrum> Run<S> {
             moment: S::ZERO,
             second: S::ZERO,
         }
+    }
+
+    /// What two kinds of light, scattered inside the leaf, add to the sight.
+    #[inline(always)]
+    fn seen(&self, inside: &InLeaf<S>, offset: [f32; 3], step: Vector) -> [S; ROWS] {
+        let (weight, moment) = (self.weight, self.moment);
+        let edge = narrow(count_up(self.edge));
+        let mut seen = [inside.share[0][0].times(weight), inside.share[1][0].times(weight)];
+        for a in 0..3 {
+            let (x, s) = (offset[a], narrow(step[a]));
+            // Σ weight · x and Σ weight · (x² − edge²/12) along the run, x moving from the first cell's offset.
+            let first = weight.scaled(x).plus_scaled(moment, s);
+            let second = weight
+                .scaled(x * x - edge * edge / 12.0)
+                .plus_scaled(moment, 2.0 * x * s)
+                .plus_scaled(self.second, s * s);
+            for row in 0..ROWS {
+                let share = &inside.share[row];
+                seen[row] = seen[row].plus_product(share[1 + a], first).plus_product(share[4 + a], second);
+            }
+        }
+        // Steep slopes must not make light negative.
+        [seen[0].not_negative(), seen[1].not_negative()]
     }
 }
 

@@ -7,7 +7,9 @@
 use super::blocks::Blocks;
 use super::cache::{Cache, Leaves, Origin};
 use super::camera::{Camera, PixelFilter};
+use super::chamber::{ENDS, Walls};
 use super::cuts::{Limits, cut};
+use super::ends;
 use super::error::TracerError;
 use super::fine::{CELLS, Fine};
 use super::gather::{Field, Light, Sight};
@@ -70,7 +72,7 @@ const SUBDIVIDED_CELLS_MAX: usize = 1 << 19;
 /// How an image is rendered.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RenderOptions {
-    /// Wanted rms standard error of a_plate and a_medium over the pixels that meet the medium.
+    /// Wanted rms standard error of a_plate, a_medium, and the walls where they are told apart, over the pixels that meet the medium.
     pub target_error: f64,
     /// Names the random numbers.
     pub seed: u64,
@@ -78,11 +80,13 @@ pub struct RenderOptions {
     pub scatter: bool,
     /// Upper limit of the number of paths; when it is reached the operator's errors say so.
     pub paths_max: u64,
+    /// What surrounds the medium, which must lie inside.
+    pub walls: Walls,
 }
 
 impl Default for RenderOptions {
     fn default() -> Self {
-        Self { target_error: 1e-3, seed: 1, scatter: true, paths_max: 1 << 28 }
+        Self { target_error: 1e-3, seed: 1, scatter: true, paths_max: 1 << 28, walls: Walls::Far }
     }
 }
 
@@ -142,6 +146,8 @@ struct Summary {
     shown: [f32; ROWS],
     /// Noise and reconstruction error together, of plate and medium.
     error: [f32; ROWS],
+    /// The same of the wall that is known least.
+    error_ends: f32,
     met: bool,
     sights: u32,
     cells: u32,
@@ -225,9 +231,10 @@ impl Job<'_> {
             let count: usize = fine.occupied.iter().map(|&b| bricks.list[b].blocks()).sum();
             let mut leaves = Leaves { bricks, occupied: fine.occupied.clone(), demand: vec![0.0; count] };
             visibility::demand(fine, &mut leaves, self.frame.sights, self.frame.plate, &probes);
-            let world = World { blocks: &blocks, scatter: &scatter, plate: self.frame.plate };
+            let chamber = self.options.walls.apart();
+            let world = World { blocks: &blocks, scatter: &scatter, plate: self.frame.plate, chamber };
             let origin = Origin { fine, leaves: &leaves, sights: self.frame.sights, seed: self.options.seed };
-            let mut cache = Cache::<S>::new(count, fine.channels);
+            let mut cache = Cache::<S>::new(count, fine.channels, chamber.is_some());
             let mut wanted = (PILOT_DEVIATION / target).powi(2).clamp(PILOT_MIN, PILOT_MAX);
             let mut round = 0;
             let (scattered, [noise, bias]) = loop {
@@ -312,16 +319,17 @@ impl Job<'_> {
         candidates: &[u32],
     ) -> [f64; 2] {
         let light = Light::new(scattered, leaves);
-        let field = Field { fine, plate: self.frame.plate, light: Some(light) };
+        let chamber = self.options.walls.apart();
+        let field = Field { fine, plate: self.frame.plate, chamber, light: Some(light) };
         let columns = self.frame.camera.columns;
         // An odd stride walks through all columns.
         let stride = (candidates.len() / PROBES).max(1) | 1;
-        let probed: Vec<[[f32; ROWS]; 2]> = candidates
+        let probed: Vec<[[f32; ROWS + 1]; 2]> = candidates
             .par_iter()
             .step_by(stride)
             .with_min_len(64)
             .map_init(
-                || Sight::<S>::new(fine.channels),
+                || Sight::<S>::new(fine.channels, chamber.is_some()),
                 |sight, &pixel| {
                     let (row, column) = (pixel as usize / columns, pixel as usize % columns);
                     sight.clear();
@@ -335,7 +343,11 @@ impl Job<'_> {
                             )
                         },
                     );
-                    sight.met.then(|| sight.errors(fine.groups))
+                    sight.met.then(|| {
+                        let ([noise, bias], ends) =
+                            (sight.errors(fine.groups), sight.ends_errors(fine.groups));
+                        [[noise[0], noise[1], ends[0]], [bias[0], bias[1], ends[1]]]
+                    })
                 },
             )
             .flatten()
@@ -343,7 +355,7 @@ impl Job<'_> {
         let mean = |kind: usize, row: usize| {
             probed.iter().map(|e| f64::from(e[kind][row]).powi(2)).sum::<f64>() / real(probed.len().max(1))
         };
-        [0, 1].map(|kind: usize| mean(kind, 0).max(mean(kind, 1)).sqrt())
+        [0, 1].map(|kind: usize| mean(kind, 0).max(mean(kind, 1)).max(mean(kind, 2)).sqrt())
     }
 
     fn gather<S: Spectrum>(
@@ -354,12 +366,15 @@ impl Job<'_> {
         candidates: &[u32],
         stats: &mut Stats,
     ) -> Operator {
+        let chamber = self.options.walls.apart();
+        let ends_seen = chamber.map_or_else(Vec::new, |c| self.frame.ends_seen(c, &plate_seen));
         let field = Field {
             fine,
             plate: self.frame.plate,
+            chamber,
             light: lit.map(|lit| Light::new(&lit.scattered, &lit.leaves)),
         };
-        let width = fine.groups * (1 + 2 * fine.channels);
+        let width = self.width(fine.groups, fine.channels);
         let mut values = vec![0.0_f32; candidates.len() * width];
         let mut summaries: Vec<Summary> = values
             .par_chunks_mut(width * TASK_PIXELS)
@@ -378,7 +393,12 @@ impl Job<'_> {
         let refined: Vec<(usize, [f32; ROWS])> = candidates
             .par_iter()
             .with_min_len(1024)
-            .map(|&p| self.frame.refinement(&shown, p as usize, plate_seen[p as usize], tolerance))
+            .map(|&p| {
+                let pixel = p as usize;
+                let (n, error) = self.frame.refinement(&shown, pixel, plate_seen[pixel], tolerance);
+                let seen = ends_seen.get(pixel * ENDS..(pixel + 1) * ENDS).unwrap_or_default();
+                (if ends::mixed(seen) { ends::EDGE_SIGHTS } else { n }, error)
+            })
             .collect();
         let again: Vec<usize> = (0..candidates.len()).filter(|&i| refined[i].0 > 1).collect();
         let mut more = vec![0.0_f32; again.len() * width];
@@ -409,12 +429,18 @@ impl Job<'_> {
         tell(stats, "pixels_refined", real(again.len()));
         tell(stats, "error_pixel", rms(0).max(rms(1)));
         let active: Vec<usize> = (0..candidates.len()).filter(|&i| summaries[i].met).collect();
-        let operator = self.assemble(fine, plate_seen, candidates, &values, &active);
+        let mut operator = self.assemble(fine, plate_seen, candidates, &values, &active);
+        operator.ends_seen = ends_seen;
         self.errors(operator, &summaries, &refined, &active, stats)
     }
 
-    /// The sights of some pixels with so many sub-sights per axis; coefficients into `values`, pixel by pixel plate,
-    /// emission, direct emission.
+    /// Coefficients of a pixel: plate, emission, direct emission, and ends of rays where walls are told apart.
+    fn width(&self, groups: usize, channels: usize) -> usize {
+        groups * (1 + 2 * channels + if self.options.walls.apart().is_some() { ENDS } else { 0 })
+    }
+
+    /// The sights of some pixels with so many sub-sights per axis; coefficients into `values`, pixel by pixel as
+    /// [`Job::width`] says.
     fn pixels<S: Spectrum>(
         &self,
         field: &Field<'_, S>,
@@ -424,8 +450,8 @@ impl Job<'_> {
     ) -> Vec<Summary> {
         let (groups, channels) = (field.fine.groups, field.fine.channels);
         let columns = self.frame.camera.columns;
-        let mut sight = Sight::<S>::new(channels);
-        let width = groups * (1 + 2 * channels);
+        let mut sight = Sight::<S>::new(channels, field.chamber.is_some());
+        let width = self.width(groups, channels);
         let mut summaries = Vec::with_capacity(jobs.len());
         vectorised(
             #[inline(always)]
@@ -478,9 +504,12 @@ impl Job<'_> {
         active: &[usize],
     ) -> Operator {
         let (groups, channels) = (fine.groups, fine.channels);
-        let width = groups * (1 + 2 * channels);
+        let width = self.width(groups, channels);
         let part = |from: usize, to: usize| -> Vec<f32> {
             let mut out = vec![0.0; active.len() * (to - from)];
+            if from == to {
+                return out;
+            }
             out.par_chunks_mut(1024 * (to - from)).zip(active.par_chunks(1024)).for_each(|(out, active)| {
                 for (out, &i) in out.chunks_exact_mut(to - from).zip(active) {
                     out.copy_from_slice(&values[i * width + from..i * width + to]);
@@ -497,10 +526,9 @@ impl Job<'_> {
             pixels: active.iter().map(|&i| candidates[i]).collect(),
             a_plate: part(0, groups),
             emission: part(groups, groups * (1 + channels)),
-            direct: part(groups * (1 + channels), width),
-            error_plate: Vec::new(),
-            error_medium: Vec::new(),
-            stats: Vec::new(),
+            direct: part(groups * (1 + channels), groups * (1 + 2 * channels)),
+            a_ends: part(groups * (1 + 2 * channels), width),
+            ..Operator::default()
         }
     }
 
@@ -515,31 +543,32 @@ impl Job<'_> {
         stats: &mut Stats,
     ) -> Operator {
         let (rows, columns) = (operator.rows, operator.columns);
-        let mut image = vec![[f32::NAN; ROWS]; rows * columns];
-        let (mut mean, mut count) = ([0.0_f32; ROWS], 0.0_f32);
+        let mut image = vec![[f32::NAN; ROWS + 1]; rows * columns];
+        let (mut mean, mut count) = ([0.0_f32; ROWS + 1], 0.0_f32);
         for (&pixel, &i) in operator.pixels.iter().zip(active) {
             if with_errors(pixel as usize / columns, pixel as usize % columns) {
-                let square = summaries[i].error.map(|e| e * e);
+                let [plate, medium] = summaries[i].error;
+                let square = [plate, medium, summaries[i].error_ends].map(|e| e * e);
                 image[pixel as usize] = square;
-                mean = [mean[0] + square[0], mean[1] + square[1]];
+                mean = [mean[0] + square[0], mean[1] + square[1], mean[2] + square[2]];
                 count += 1.0;
             }
         }
         let mean = mean.map(|m| m / count.max(1.0));
-        let spread: Vec<[f32; ROWS]> = operator
+        let spread: Vec<[f32; ROWS + 1]> = operator
             .pixels
             .par_iter()
             .zip(active)
             .with_min_len(256)
             .map(|(&pixel, &i)| {
                 let (row, column) = (pixel as usize / columns, pixel as usize % columns);
-                let (mut sum, mut n) = ([0.0_f32; ROWS], 0.0_f32);
+                let (mut sum, mut n) = ([0.0_f32; ROWS + 1], 0.0_f32);
                 let low = [row, column].map(|i| i.saturating_sub(ERROR_REACH).next_multiple_of(ERROR_STRIDE));
                 for r in (low[0]..(row + ERROR_REACH + 1).min(rows)).step_by(ERROR_STRIDE) {
                     for c in (low[1]..(column + ERROR_REACH + 1).min(columns)).step_by(ERROR_STRIDE) {
                         let e = image[r * columns + c];
                         if !e[0].is_nan() {
-                            sum = [sum[0] + e[0], sum[1] + e[1]];
+                            sum = [sum[0] + e[0], sum[1] + e[1], sum[2] + e[2]];
                             n += 1.0;
                         }
                     }
@@ -548,7 +577,9 @@ impl Job<'_> {
                     // A lonely pixel between those with errors.
                     (sum, n) = (mean, 1.0);
                 }
-                [0, 1].map(|k: usize| (sum[k] / n).sqrt().hypot(refined[i].1[k]))
+                let [plate, medium] = refined[i].1;
+                let pixel = [plate, medium, plate.max(medium)];
+                [0, 1, 2].map(|k: usize| (sum[k] / n).sqrt().hypot(pixel[k]))
             })
             .collect();
         operator.error_plate = spread.iter().map(|s| s[0]).collect();
@@ -558,6 +589,10 @@ impl Job<'_> {
         };
         tell(stats, "error_plate_rms", rms(&operator.error_plate));
         tell(stats, "error_medium_rms", rms(&operator.error_medium));
+        if self.options.walls.apart().is_some() {
+            operator.error_ends = spread.iter().map(|s| s[2]).collect();
+            tell(stats, "error_walls_rms", rms(&operator.error_ends));
+        }
         operator
     }
 }
@@ -597,11 +632,20 @@ fn finish<S: Spectrum>(sight: &Sight<S>, groups: usize, values: &mut [f32]) -> S
             values[(1 + channels + c) * groups + g] = direct * share;
         }
     }
+    let (before, ends) = values.split_at_mut((1 + 2 * channels) * groups);
+    for (end, values) in sight.ends.iter().zip(ends.chunks_exact_mut(groups)) {
+        for (g, value) in values.iter_mut().enumerate() {
+            *value = end.get(g) * share;
+        }
+    }
+    ends::close(ends, &before[..groups], &before[groups..2 * groups]);
     let per_group = 1.0 / narrow(real(groups));
     let [noise, bias] = sight.errors(groups);
+    let [noise_ends, bias_ends] = sight.ends_errors(groups);
     Summary {
         shown: shown.map(|s| s * per_group),
         error: [noise[0].hypot(bias[0]), noise[1].hypot(bias[1])],
+        error_ends: noise_ends.hypot(bias_ends),
         met: sight.met,
         sights: u32::try_from(sight.sights).unwrap_or(u32::MAX),
         cells: u32::try_from(sight.cells).unwrap_or(u32::MAX),

@@ -2,6 +2,7 @@
 
 pub mod camera;
 pub mod cell;
+pub mod chamber;
 pub mod error;
 pub mod image;
 pub mod line;
@@ -18,6 +19,7 @@ mod bricks;
 mod cache;
 mod chord;
 mod cuts;
+mod ends;
 mod fine;
 mod gather;
 mod guess;
