@@ -229,7 +229,8 @@ impl World<'_> {
         let Some(distance) = plate.hit(place, aimed) else { return };
         let own = self.body.phase.value(dot(direction, aimed)) / (4.0 * PI);
         if own > 0.0 {
-            self.body.pieces(place, aimed, distance, pieces);
+            let (far, _) = self.reach(place, aimed, Some(distance));
+            self.body.pieces(place, aimed, far, pieces);
             let depth: f64 = pieces.iter().map(|p| p.depth).sum();
             tally.scores[0] += weight * (-depth).exp() / (1.0 + density / own);
         }
