@@ -3,6 +3,8 @@
 //! What is seen without a medium is geometry; with one, image mode, single rays and the reference are three separate
 //! estimates. Radiosities are judged in the library (`scene::enclosure`).
 
+#![expect(clippy::unwrap_used, reason = "the helpers of these tests fail the test")]
+
 use ditd_sim::light::phase::PhaseFunction;
 use ditd_sim::light::planck::photon_radiance;
 use ditd_sim::scene::enclosure::{Enclosure, SOURCES};
@@ -196,6 +198,7 @@ fn image_mode_and_single_rays_find_the_same_walls() {
         // Declared is the largest wall's error: the mean over the walls is smaller.
         assert!(difference < 1.5 * declared.max(1e-5), "albedo {albedo}: {difference:.1e} {declared:.1e}");
         assert!(declared < 3e-3, "albedo {albedo}: {declared}");
+        println!("albedo {albedo}, depth {depth}: difference {difference:.2e}, declared {declared:.2e}");
     }
 }
 
@@ -377,7 +380,7 @@ fn lights_and_relighting_agree() {
     };
     let ends: Vec<f64> = (0..ENDS).map(unit).collect();
     // Gray walls mirror the hot plate and the cold wall.
-    assert!(ends[1] < ends[2] && ends[2] != ends[0]);
+    assert!(ends[1] < ends[2] && (ends[2] / ends[0] - 1.0).abs() > 1e-6);
     let plate = lights.see(&[Share { plate: 1.0, ..Share::default() }]).radiance;
     let own = lights.see(&[Share { medium: 1.0, ..Share::default() }]).radiance;
     let light = Lighting { plate: vec![plate], walls: vec![ends[0]], ends, channel: 0, medium: vec![own] };
@@ -421,18 +424,18 @@ fn a_spray_in_the_way_changes_radiosities_by_no_more_than_it_hides() {
                     [k / (n * n * n), k / (n * n) % n, k / n % n, k % n].map(|i| (i as f64 + 0.5) / n as f64);
                 let (axis, b, c) = (side / 2, (side / 2 + 1) % 3, (side / 2 + 2) % 3);
                 let (mut place, mut direction) = ([0.0; 3], [0.0; 3]);
-                place[axis] = if side % 2 == 0 { low[axis] } else { high[axis] };
+                place[axis] = if side.is_multiple_of(2) { low[axis] } else { high[axis] };
                 place[b] = low[b] + u[0] * (high[b] - low[b]);
                 place[c] = low[c] + u[1] * (high[c] - low[c]);
                 let (sine, phi) = (u[2].sqrt(), std::f64::consts::TAU * u[3]);
-                direction[axis] = (1.0 - u[2]).sqrt() * if side % 2 == 0 { 1.0 } else { -1.0 };
+                direction[axis] = (1.0 - u[2]).sqrt() * if side.is_multiple_of(2) { 1.0 } else { -1.0 };
                 (direction[b], direction[c]) = (sine * phi.cos(), sine * phi.sin());
                 list.push((place, direction));
             }
             let answers = render_rays(&body, &list, None, &options).unwrap();
             for answer in &answers {
-                for to in 0..SIDES {
-                    factors[side][to] += answer.ends[to] / list.len() as f64;
+                for (factor, share) in factors[side].iter_mut().zip(&answer.ends) {
+                    *factor += share / list.len() as f64;
                 }
                 stopped[side] += answer.medium[0] / list.len() as f64;
             }

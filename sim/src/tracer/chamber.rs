@@ -134,7 +134,6 @@ impl Walls {
 }
 
 #[cfg(test)]
-#[expect(clippy::float_cmp, reason = "exact numbers")]
 mod tests {
     use super::*;
     use crate::tracer::vector::unit;
@@ -147,7 +146,7 @@ mod tests {
     fn every_axis_ends_on_its_wall_and_a_ray_from_outside_on_the_far_one() {
         for (side, name) in SIDE_NAMES.iter().enumerate() {
             let mut d = [0.0; 3];
-            d[side / 2] = if side % 2 == 0 { -1.0 } else { 1.0 };
+            d[side / 2] = if side.is_multiple_of(2) { -1.0 } else { 1.0 };
             assert_eq!(chamber().end([0.1, 0.2, -0.3], d), side, "{name}");
             // Through the opposite wall.
             assert_eq!(chamber().end(d.map(|c| -10.0 * c), d), side);

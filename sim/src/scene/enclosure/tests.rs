@@ -1,7 +1,5 @@
 //! Radiosities against photons followed one by one, and what must hold for any enclosure.
 
-#![expect(clippy::float_cmp, reason = "exact numbers")]
-
 use super::*;
 use crate::tracer::plate::PlateShape;
 
@@ -39,11 +37,11 @@ impl Random {
     fn leave(&mut self, side: usize) -> ([f64; 3], [f64; 3]) {
         let (low, high) = (chamber().lower_m(), chamber().upper_m());
         let mut place = [0, 1, 2].map(|a: usize| low[a] + self.next() * (high[a] - low[a]));
-        place[side / 2] = if side % 2 == 0 { low[side / 2] } else { high[side / 2] };
+        place[side / 2] = if side.is_multiple_of(2) { low[side / 2] } else { high[side / 2] };
         let (cosine2, phi) = (self.next(), std::f64::consts::TAU * self.next());
         let sine = (1.0 - cosine2).sqrt();
         let mut direction = [0.0; 3];
-        direction[side / 2] = cosine2.sqrt() * if side % 2 == 0 { 1.0 } else { -1.0 };
+        direction[side / 2] = cosine2.sqrt() * if side.is_multiple_of(2) { 1.0 } else { -1.0 };
         direction[(side / 2 + 1) % 3] = sine * phi.cos();
         direction[(side / 2 + 2) % 3] = sine * phi.sin();
         (place, direction)
