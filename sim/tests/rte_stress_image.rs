@@ -34,6 +34,7 @@ fn camera(columns: usize, rows: usize) -> Camera {
         columns,
         rows,
         pixel_filter: PixelFilter::Centre,
+        lens: None,
     }
 }
 

@@ -75,6 +75,7 @@ fn shares(scene: &Scene) -> Vec<Share> {
             medium: answer.medium[0],
             emission: answer.medium.get(1).copied().unwrap_or(0.0),
             se: [answer.se_plate, answer.se_walls, answer.se_medium[0]],
+            ..Share::default()
         }
     };
     bodies.iter().map(share).collect()
@@ -370,7 +371,7 @@ fn the_eight_hole_spray_is_dark_before_a_hot_plate_and_bright_before_a_cold_one(
         .map(|i| {
             let (plate, medium) = (f64::from(operator.a_plate[i]), f64::from(operator.emission[2 * i]));
             let emission = f64::from(operator.emission[2 * i + 1]);
-            Share { plate, walls: 1.0 - plate - medium, medium, emission, se: [0.0; 3] }
+            Share { plate, walls: 1.0 - plate - medium, medium, emission, ..Share::default() }
         })
         .filter(|share| share.medium > 0.5)
         .collect();

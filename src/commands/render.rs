@@ -3,18 +3,22 @@
 use super::{CommandError, CommandResult};
 use crate::files::preview::{self, Colours, Preview};
 use ditd_sim::scene::deposit::DepositReport;
+use ditd_sim::scene::exposure::Moments;
 use ditd_sim::scene::file::{self, BandSource, MediumSource, Scene};
-use ditd_sim::scene::lights::{EndShares, Lights, Share};
+use ditd_sim::scene::lights::{EndShares, Lights, Mirrored, Share};
+use ditd_sim::scene::mirror::Mirror;
 use ditd_sim::scene::optics::{OpticsOptions, OpticsReport, Work};
 use ditd_sim::tracer::camera::Camera;
 use ditd_sim::tracer::chamber::{ENDS, OUTSIDE, SIDE_NAMES, SIDES, Walls};
 use ditd_sim::tracer::image::{RenderOptions, render_image};
+use ditd_sim::tracer::mean_rays::{MeanRay, Setting, mean_rays};
 use ditd_sim::tracer::medium::{EMPTY, GridMedium};
 use ditd_sim::tracer::operator::Operator;
 use ditd_sim::tracer::plate::{Plate, PlateShape};
 use ditd_sim::tracer::rays::{RayAnswer, RayOptions, render_rays};
 use ditd_sim::tracer::reference::render_reference;
 use ditd_sim::tracer::shape::Body;
+use ditd_sim::tracer::uneven::{self, UnevenPlate};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -74,15 +78,24 @@ pub fn run(args: Args) -> CommandResult {
     }
     let default = if args.rays.is_some() { RAY_TARGET } else { IMAGE_TARGET };
     let options = OpticsOptions { target_error: args.target_error.unwrap_or(default) };
-    let scene = file::load(&args.scene)
-        .and_then(|scene| scene.with_spray(&options))
-        .map_err(|e| CommandError::usage(e.to_string()))?;
-    for note in &scene.notes {
-        eprintln!("ditd: {note}");
+    let scene = file::load(&args.scene).map_err(|e| CommandError::usage(e.to_string()))?;
+    // Single rays are of one moment.
+    let moments = if args.rays.is_some() {
+        Moments { scenes: vec![(1.0, scene)], pixels: 0.0 }
+    } else {
+        scene.moments().map_err(|e| CommandError::usage(e.to_string()))?
+    };
+    let mut scenes = Vec::with_capacity(moments.scenes.len());
+    for (weight, scene) in moments.scenes {
+        let scene = scene.with_spray(&options).map_err(|e| CommandError::usage(e.to_string()))?;
+        for note in &scene.notes {
+            eprintln!("ditd: {note}");
+        }
+        scenes.push((weight, scene));
     }
     match &args.rays {
-        Some(rays) => single_rays(&scene, rays, &args),
-        None => image(scene, &args),
+        Some(rays) => single_rays(&scenes[0].1, rays, &args),
+        None => image(scenes, moments.pixels, &args),
     }
 }
 
@@ -120,11 +133,12 @@ fn trace(
     scene: &Scene,
     walls: Walls,
     rays: &[([f64; 3], [f64; 3])],
+    shape: Option<&PlateShape>,
     target_error: f64,
     seed: u64,
 ) -> Result<Collected, CommandError> {
     let usage = |e: ditd_sim::tracer::error::TracerError| CommandError::usage(format!("render: {e}"));
-    let plate = scene.plate.as_ref().map(|p| Plate::new(&p.shape)).transpose().map_err(usage)?;
+    let plate = shape.map(Plate::new).transpose().map_err(usage)?;
     let options = RayOptions { target_error, seed, paths_max: RAY_PATHS_MAX, walls, ..RayOptions::default() };
     let empty = nothing();
     let bodies = match &scene.medium {
@@ -133,15 +147,23 @@ fn trace(
         Some(MediumSource::Spectral(grid, _)) => (0..grid.groups).map(|g| Body::grid(grid, g)).collect(),
         Some(MediumSource::Cfd(_) | MediumSource::Parametric(_)) | None => vec![Body::grid(&empty, 0)],
     };
+    let own = scene.plate.as_ref().filter(|p| Some(&p.shape) == shape);
+    let uneven = if own.is_some() { uneven_plate(scene)? } else { None };
     let mut shares = vec![Vec::new(); rays.len()];
     let mut ends = vec![EndShares::default(); if walls.apart().is_some() { rays.len() } else { 0 }];
     let mut paths = 0;
     let groups = bodies.len();
     for body in bodies {
         let answers = render_rays(&body.map_err(usage)?, rays, plate.as_ref(), &options).map_err(usage)?;
-        for (shares, answer) in shares.iter_mut().zip(&answers) {
+        for ((shares, answer), &(origin, direction)) in shares.iter_mut().zip(&answers).zip(rays) {
             paths += answer.paths;
-            shares.push(share(answer));
+            let mut share = share(answer);
+            if let Some(uneven) = &uneven {
+                let met = uneven.seen(origin, direction).is_some();
+                let straight = if met { answer.direct_transmittance } else { 0.0 };
+                share.excess = uneven.of_ray(origin, direction, answer.plate, straight);
+            }
+            shares.push(share);
         }
         for (ends, answer) in ends.iter_mut().zip(&answers) {
             add_ends(ends, answer, groups);
@@ -160,6 +182,40 @@ fn add_ends(ends: &mut EndShares, answer: &RayAnswer, groups: usize) {
     }
 }
 
+/// The same with what the far window mirrors, where it mirrors the chamber.
+fn trace_mirrored(
+    scene: &Scene,
+    walls: Walls,
+    rays: &[([f64; 3], [f64; 3])],
+    target_error: f64,
+    seed: u64,
+) -> Result<Collected, CommandError> {
+    let plate = scene.plate.as_ref().map(|p| &p.shape);
+    let mut collected = trace(scene, walls, rays, plate, target_error, seed)?;
+    let Some(mirror) = Mirror::of(scene) else { return Ok(collected) };
+    // Rays that pass the window's plane by see no plate behind it either.
+    let back: Vec<_> = rays.iter().map(|&(o, d)| mirror.ray(o, d).unwrap_or((o, d))).collect();
+    let opening = mirror.opening(rays, 0.0);
+    let target_error = mirror.target(target_error);
+    let mirrored = trace(scene, walls.together(), &back, opening.as_ref(), target_error, seed)?;
+    for (shares, mirrored) in collected.shares.iter_mut().zip(&mirrored.shares) {
+        mirror_in(shares, mirrored);
+    }
+    Ok(collected)
+}
+
+/// Puts what the far window mirrors into the shares of a sight.
+fn mirror_in(shares: &mut [Share], mirrored: &[Share]) {
+    for (share, there) in shares.iter_mut().zip(mirrored) {
+        share.mirrored = Some(Mirrored {
+            opening: there.plate,
+            medium: there.medium,
+            emission: there.emission,
+            se: there.se[0].hypot(there.se[2]),
+        });
+    }
+}
+
 fn share(answer: &RayAnswer) -> Share {
     Share {
         plate: answer.plate,
@@ -167,7 +223,17 @@ fn share(answer: &RayAnswer) -> Share {
         medium: answer.medium[0],
         emission: answer.medium.get(1).copied().unwrap_or(0.0),
         se: [answer.se_plate, answer.se_walls, answer.se_medium[0]],
+        ..Share::default()
     }
+}
+
+/// The plate of a scene with the deviation of its temperature, if it is uneven.
+fn uneven_plate(scene: &Scene) -> Result<Option<UnevenPlate>, CommandError> {
+    let plate = scene.plate.as_ref().and_then(|p| p.deviation.as_ref().map(|d| (&p.shape, d)));
+    plate
+        .map(|(shape, deviation)| UnevenPlate::new(shape, deviation))
+        .transpose()
+        .map_err(|e| CommandError::usage(format!("render: {e}")))
 }
 
 /// Names and values of what is printed or written of each sight.
@@ -176,6 +242,7 @@ struct Columns {
     windows: bool,
     /// Whether the walls of a chamber are told apart.
     apart: bool,
+    uneven: bool,
     /// Spectral groups to list.
     groups: usize,
 }
@@ -190,6 +257,7 @@ impl Columns {
             lights: Lights::new(scene),
             windows: scene.windows.any(),
             apart,
+            uneven: scene.plate.as_ref().is_some_and(|p| p.deviation.is_some()),
             groups: if list_groups { groups } else { 0 },
         }
     }
@@ -200,6 +268,9 @@ impl Columns {
         let extra = ["a_window", "a_camera_side"];
         if self.windows {
             names.extend([extra[0], extra[1], "se_window"].map(String::from));
+        }
+        if self.uneven {
+            names.push("plate_excess_k".to_owned());
         }
         let ends = || (0..if self.apart { ENDS } else { 0 }).map(end_name);
         if self.apart {
@@ -226,6 +297,9 @@ impl Columns {
         let mut values = vec![seen.plate, seen.walls, seen.medium, se_plate, se_walls, se_medium];
         if self.windows {
             values.extend([seen.window, seen.camera_side, se_window]);
+        }
+        if self.uneven {
+            values.push(seen.plate_excess_k);
         }
         if let Some(ends) = ends {
             values.extend(by_end);
@@ -254,7 +328,8 @@ fn single_rays(scene: &Scene, path: &Path, args: &Args) -> CommandResult {
     let table = RayTable::parse(&text)
         .map_err(|e| CommandError::usage(format!("render: {}: {e}", path.display())))?;
     let walls = scene.surroundings(&[]);
-    let collected = trace(scene, walls, &table.rays, args.target_error.unwrap_or(RAY_TARGET), args.seed)?;
+    let target_error = args.target_error.unwrap_or(RAY_TARGET);
+    let collected = trace_mirrored(scene, walls, &table.rays, target_error, args.seed)?;
     let columns = Columns::new(scene, args.groups, walls.apart().is_some());
     let names = columns.names();
     let rows = (0..table.rays.len()).map(|sight| columns.values(collected.of(sight)));
@@ -322,7 +397,72 @@ struct Images {
     stats: Vec<(String, f64)>,
 }
 
-fn image(mut scene: Scene, args: &Args) -> CommandResult {
+/// The mean over the moments of the exposure, or of the only one.
+fn image(scenes: Vec<(f64, Scene)>, pixels_moved: f64, args: &Args) -> CommandResult {
+    let count = scenes.len();
+    let mut mean: Option<(Images, Vec<Picture>, Camera, Scene)> = None;
+    for (weight, scene) in scenes {
+        let (images, pictures, camera, scene) = one_image(scene, args)?;
+        let Some((sum, shown, ..)) = &mut mean else {
+            let scaled = if count > 1 { weight } else { 1.0 };
+            let mut first = (images, pictures, camera, scene);
+            first.0.scale(scaled);
+            first.1.iter_mut().for_each(|p| p.values.iter_mut().for_each(|v| *v *= scaled));
+            mean = Some(first);
+            continue;
+        };
+        sum.add(&images, weight)?;
+        for (sum, picture) in shown.iter_mut().zip(&pictures) {
+            sum.values.iter_mut().zip(&picture.values).for_each(|(s, v)| *s += weight * v);
+        }
+    }
+    let Some((mut images, pictures, camera, scene)) = mean else {
+        return Err(CommandError::usage("render: the exposure has no moment"));
+    };
+    if count > 1 {
+        images.stats.push(("exposure_moments".to_owned(), count as f64));
+        images.stats.push(("exposure_pixels".to_owned(), pixels_moved));
+    }
+    if let Some(png) = &args.png {
+        write_pngs(png, &camera, &scene, &pictures)?;
+    }
+    if let Some(out) = &args.out {
+        write_exr(out, &camera, &images)
+            .map_err(|e| CommandError::failure(format!("render: writing {}: {e}", out.display())))?;
+    }
+    report(&images, args.json)
+}
+
+impl Images {
+    #[expect(clippy::cast_possible_truncation, reason = "EXR images hold f32")]
+    fn scale(&mut self, weight: f64) {
+        self.channels.iter_mut().for_each(|(_, v)| v.iter_mut().for_each(|v| *v *= weight as f32));
+        self.stats.iter_mut().for_each(|(_, v)| *v *= weight);
+    }
+
+    /// Adds a weighted moment; standard errors as if they were fully correlated, which bounds them from above.
+    #[expect(clippy::cast_possible_truncation, reason = "EXR images hold f32")]
+    fn add(&mut self, other: &Self, weight: f64) -> Result<(), CommandError> {
+        let names = |images: &Self| images.channels.iter().map(|c| c.0.clone()).collect::<Vec<_>>();
+        if names(self) != names(other) {
+            return Err(CommandError::usage(
+                "render: the moments of the exposure have different numbers of spectral groups; leave out --groups, or \
+                 give [band] samples a number",
+            ));
+        }
+        for ((_, sum), (_, values)) in self.channels.iter_mut().zip(&other.channels) {
+            sum.iter_mut().zip(values).for_each(|(s, v)| *s += weight as f32 * v);
+        }
+        for (name, value) in &mut self.stats {
+            if let Some((_, other)) = other.stats.iter().find(|(n, _)| n == name) {
+                *value += weight * other;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn one_image(mut scene: Scene, args: &Args) -> Result<(Images, Vec<Picture>, Camera, Scene), CommandError> {
     let temperatures_k = plate_temperatures(&mut scene, args)?;
     let camera = scene
         .camera
@@ -332,14 +472,22 @@ fn image(mut scene: Scene, args: &Args) -> CommandResult {
         return Err(CommandError::usage("render: the camera has no pixels"));
     }
     let target = args.target_error.unwrap_or(IMAGE_TARGET);
-    let gridded = !matches!(&scene.medium, Some(MediumSource::Shape(..)));
+    let plate = scene.plate.as_ref().map(|p| &p.shape);
     let walls = scene.surroundings(&temperatures_k);
-    let collected = if gridded {
-        operator(&scene, &camera, walls, target, args)?
-    } else {
-        pixel_by_pixel(&scene, &camera, walls, target, args.seed)?
-    };
-    let mut stats = collected.stats.clone();
+    let mut collected = rendered(&scene, &camera, walls, plate, target, args)?;
+    let mut stats = std::mem::take(&mut collected.stats);
+    if let Some(mirror) = Mirror::of(&scene) {
+        let (back, more) = (mirror.camera(&camera), mirror.opening_of(&camera));
+        let alike = walls.together();
+        let mirrored = rendered(&scene, &back, alike, more.as_ref(), mirror.target(target), args)?;
+        stats.extend(mirrored.stats.into_iter().map(|(name, value)| (format!("mirrored_{name}"), value)));
+        for (pixel, shares) in collected.shares.iter_mut().enumerate() {
+            // In the mirror left is right.
+            let (row, column) = (pixel / camera.columns, pixel % camera.columns);
+            let there = &mirrored.shares[row * camera.columns + camera.columns - 1 - column];
+            mirror_in(shares, there);
+        }
+    }
     if scene.chamber.is_some() {
         // Walls that all shine alike are one.
         let skipped = if walls.apart().is_some() { 0 } else { SIDES };
@@ -373,14 +521,23 @@ fn image(mut scene: Scene, args: &Args) -> CommandResult {
             images.channels.push((format!("radiance_plate_{}", kelvin_name(kelvin)), values));
         }
     }
-    if let Some(png) = &args.png {
-        write_pngs(png, &camera, &scene, &pictures)?;
+    Ok((images, pictures, camera, scene))
+}
+
+/// Shares of all pixels of a camera, with any plate.
+fn rendered(
+    scene: &Scene,
+    camera: &Camera,
+    walls: Walls,
+    plate: Option<&PlateShape>,
+    target: f64,
+    args: &Args,
+) -> Result<Collected, CommandError> {
+    if matches!(&scene.medium, Some(MediumSource::Shape(..))) {
+        pixel_by_pixel(scene, camera, walls, plate, target, args.seed)
+    } else {
+        operator(scene, camera, walls, plate, target, args)
     }
-    if let Some(out) = &args.out {
-        write_exr(out, &camera, &images)
-            .map_err(|e| CommandError::failure(format!("render: writing {}: {e}", out.display())))?;
-    }
-    report(&images, args.json)
 }
 
 /// The plate temperatures of which images are wanted: those of the command, else of the scene.
@@ -525,6 +682,7 @@ fn operator(
     scene: &Scene,
     camera: &Camera,
     walls: Walls,
+    plate: Option<&PlateShape>,
     target_error: f64,
     args: &Args,
 ) -> Result<Collected, CommandError> {
@@ -533,8 +691,9 @@ fn operator(
         Some(MediumSource::Grid(grid, _) | MediumSource::Spectral(grid, _)) => grid.as_ref(),
         _ => &empty,
     };
-    let plate: Option<&PlateShape> = scene.plate.as_ref().map(|p| &p.shape);
-    let options = RenderOptions { target_error, seed: args.seed, walls, ..RenderOptions::default() };
+    let motion_m = scene.exposure.map_or([0.0; 3], |e| e.motion_m());
+    let options =
+        RenderOptions { target_error, seed: args.seed, walls, motion_m, ..RenderOptions::default() };
     let operator = if args.reference {
         render_reference(medium, camera, plate, &options, None, &|_| {})
     } else {
@@ -564,11 +723,28 @@ fn operator(
                 medium: emission(0),
                 emission: emission(1),
                 se: [se_plate, se_plate.hypot(se_medium), se_medium],
+                ..Share::default()
             };
         }
     }
+    let mut stats = operator.stats.clone();
+    // Only the scene's own plate is uneven, not the opening that stands for it in a mirror.
+    let own = scene.plate.as_ref().filter(|p| Some(&p.shape) == plate);
+    if let Some(uneven) = own.and(uneven_plate(scene)?) {
+        let excess = uneven::excess(medium, camera, &uneven, &options, &operator)
+            .map_err(|e| CommandError::usage(format!("render: {e}")))?;
+        for (shares, seen) in shares.iter_mut().zip(&excess.seen) {
+            shares.iter_mut().for_each(|share| share.excess = seen.map(f64::from));
+        }
+        for (&pixel, found) in operator.pixels.iter().zip(excess.active.chunks_exact(groups)) {
+            for (share, found) in shares[pixel as usize].iter_mut().zip(found) {
+                share.excess = found.map(f64::from);
+            }
+        }
+        stats.push(("plate_excess_error_k".to_owned(), excess.error_k));
+    }
     let ends = if walls.apart().is_some() { ends_of(&operator) } else { Vec::new() };
-    Ok(Collected { shares, ends, stats: operator.stats })
+    Ok(Collected { shares, ends, stats })
 }
 
 /// The walls one by one, of every pixel.
@@ -594,20 +770,54 @@ fn ends_of(operator: &Operator) -> Vec<EndShares> {
     ends
 }
 
-/// Analytic shapes: every pixel as a ray of its own through its centre.
+/// Analytic shapes: every pixel as a ray of its own through its centre, or with a lens or motion as the mean of rays.
 #[expect(clippy::cast_precision_loss, reason = "images are smaller than 2^53")]
 fn pixel_by_pixel(
     scene: &Scene,
     camera: &Camera,
     walls: Walls,
+    plate: Option<&PlateShape>,
     target: f64,
     seed: u64,
 ) -> Result<Collected, CommandError> {
-    let sights = camera.sights().map_err(|e| CommandError::usage(format!("render: {e}")))?;
+    let usage = |e: ditd_sim::tracer::error::TracerError| CommandError::usage(format!("render: {e}"));
+    let pixels = (camera.rows * camera.columns) as f64;
+    let motion_m = scene.exposure.map_or([0.0; 3], |e| e.motion_m());
+    let own = scene.plate.as_ref().filter(|p| Some(&p.shape) == plate);
+    let uneven = if own.is_some() { uneven_plate(scene)? } else { None };
+    let setting = Setting { camera, plate, uneven: uneven.as_ref(), motion_m };
+    if let (true, Some(MediumSource::Shape(shape, _))) = (setting.spreads(), &scene.medium) {
+        if walls.chamber().is_some() {
+            return Err(CommandError::usage(
+                "render: [medium] is a shape, seen through a lens or in motion, in a [chamber]; give it as a grid, or leave \
+                 out one of them",
+            ));
+        }
+        let body = Body::shape(shape).map_err(usage)?;
+        let options =
+            RayOptions { target_error: target, seed, paths_max: RAY_PATHS_MAX, ..RayOptions::default() };
+        let means = mean_rays(&body, &setting, &options).map_err(usage)?;
+        let sum = |f: fn(&MeanRay) -> f64| means.iter().map(f).sum::<f64>();
+        let stats = vec![
+            ("pixels".to_owned(), pixels),
+            ("sights".to_owned(), sum(|m| f64::from(m.rays))),
+            ("paths".to_owned(), sum(|m| m.paths as f64)),
+        ];
+        let shares = means
+            .iter()
+            .map(|m| {
+                let walls = (1.0 - m.plate - m.medium).max(0.0);
+                let (plate, medium, se, excess) = (m.plate, m.medium, m.se, m.excess);
+                vec![Share { plate, walls, medium, se, excess, ..Share::default() }]
+            })
+            .collect();
+        return Ok(Collected { shares, ends: Vec::new(), stats });
+    }
+    let sights = camera.sights().map_err(usage)?;
     let rays: Vec<_> = (0..camera.rows * camera.columns)
         .map(|i| sights.ray((i / camera.columns) as f64 + 0.5, (i % camera.columns) as f64 + 0.5))
         .collect();
-    trace(scene, walls, &rays, target, seed)
+    trace(scene, walls, &rays, plate, target, seed)
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "EXR images hold f32")]

@@ -381,6 +381,7 @@ fn camera(config: &RigConfig) -> Camera {
         columns: view.columns,
         rows: view.rows,
         pixel_filter: PixelFilter::Box,
+        lens: None,
     }
 }
 

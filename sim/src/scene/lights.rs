@@ -4,15 +4,24 @@
 //! of its own source: then coefficient × band radiance of the source is its light. Within a group all coefficients sum
 //! to 1; over a band they do so when the medium is gray or all temperatures are equal. Traces nothing.
 //!
-//! Windows (one on either side, all sights of a side cross it, interreflections between the two neglected):
+//! Windows (one on either side, all sights of a side cross it):
 //!
 //! - near: a_* × T_n, a_window += A_n, a_camera_side += R_n (the laboratory, mirrored);
 //! - far: a_plate × T_f, a_walls += a_plate · R_f (the chamber, mirrored), a_window += a_plate · A_f.
+//!
+//! Where the far window mirrors the chamber, what it mirrors has coefficients a', m', w' of its own (`mirror`): medium and
+//! walls get a_plate · R_f · m' and a_plate · R_f · w'; a_plate · R_f · a' ends at the near window, which is T_n laboratory,
+//! A_n itself, and R_n times the first sight again: all is divided by 1 − a_plate · a' · R_f · R_n. Exact for windows that
+//! are parallel and met head on; that the second round trip sees what the first did errs by (R_f R_n)² at most where
+//! they are not.
+//!
+//! An uneven plate shines like one of the mean temperature that a sight sees, T + δ, and half the variance of δ times
+//! B'': exact where a sight sees one place, to the third moment of δ where it sees many.
 
 use super::enclosure::{BEYOND, Enclosure, PLATE, SOURCES};
-use super::file::{ChamberSource, MediumSource, Scene, WindowSource};
+use super::file::{ChamberSource, MediumSource, PlateMirrors, Scene, WindowSource};
 use crate::light::band::Band;
-use crate::light::planck::{inverse_photon_radiance, photon_radiance};
+use crate::light::planck::{d_photon_radiance_dt, inverse_photon_radiance, photon_radiance};
 use crate::light::window::PlateOptics;
 use crate::tracer::chamber::{ENDS, SIDES};
 use crate::tracer::medium::GridMedium;
@@ -31,6 +40,23 @@ pub struct Share {
     pub emission: f64,
     /// Standard errors of plate, walls and medium.
     pub se: [f64; 3],
+    /// The plate's share times the deviation of its temperature in K, and times its square; 0 for an even plate.
+    pub excess: [f64; 2],
+    /// What the far window mirrors of the chamber; none: walls.
+    pub mirrored: Option<Mirrored>,
+}
+
+/// What the sight that a far window mirrors collects on its way back, in one spectral group.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Mirrored {
+    /// Share of the near window's opening.
+    pub opening: f64,
+    /// Share of the medium; what is left is that of the walls.
+    pub medium: f64,
+    /// As [`Share::emission`].
+    pub emission: f64,
+    /// Standard error of the share of the medium.
+    pub se: f64,
 }
 
 /// What one sight collects from each wall of a chamber and from the place outside, ordered as
@@ -60,6 +86,8 @@ pub struct Seen {
     pub se: [f64; 4],
     /// Radiance: photons s⁻¹ m⁻² sr⁻¹ µm⁻¹ at one wavelength, its integral over a response.
     pub radiance: f64,
+    /// Coefficient of the plate times the mean deviation of its temperature that is seen, in K.
+    pub plate_excess_k: f64,
     /// The part of it that the medium emits.
     pub radiance_medium: f64,
     /// Standard error of the radiance.
@@ -88,6 +116,9 @@ struct Sample {
     share: [f64; 6],
     /// Radiances per µm of plate (with what it mirrors), walls, medium, near window, far window, laboratory.
     radiance: [f64; 6],
+    um: f64,
+    /// Of the plate.
+    emissivity: f64,
 }
 
 /// The walls of a chamber at one wavelength.
@@ -107,6 +138,7 @@ pub struct Lights {
     ends: Option<(Vec<EndSample>, usize)>,
     glow: Glow,
     lit: bool,
+    plate_k: Option<f64>,
 }
 
 /// A window that is not there.
@@ -124,8 +156,11 @@ impl Lights {
         let walls_k = scene.walls.map(|w| w.temperature_k);
         let plate_k = scene.plate.as_ref().and_then(|p| p.temperature_k);
         // Behind a far window the plate stands in the laboratory, else in the chamber, and mirrors it.
-        let mirrored_k = if windows.far.is_some() { windows.lab_temperature_k } else { walls_k };
-        let emissivity = scene.plate.as_ref().map_or(1.0, |p| p.emissivity);
+        let laboratory = match scene.plate.as_ref().and_then(|p| p.mirrors) {
+            Some(mirrors) => mirrors == PlateMirrors::Laboratory,
+            None => windows.far.is_some(),
+        };
+        let mirrored_k = if laboratory { windows.lab_temperature_k } else { walls_k };
         let (glow, medium_k) = glow(scene);
         let temperatures = [
             plate_k,
@@ -146,6 +181,7 @@ impl Lights {
             .zip(&band.weights)
             .map(|(&um, &weight)| {
                 let mut radiance = temperatures.map(|t| at(um, t));
+                let emissivity = scene.plate.as_ref().map_or(1.0, |p| p.emissivity.at(um));
                 radiance[0] = emissivity * radiance[0] + (1.0 - emissivity) * at(um, mirrored_k);
                 // Without a temperature of its own a coefficient is weighted with the response alone.
                 let share = temperatures.map(|t| match t {
@@ -153,7 +189,7 @@ impl Lights {
                     _ => weight,
                 });
                 let [near, far] = [&windows.near, &windows.far].map(|w| optics(w.as_ref(), um));
-                Sample { weight, near, far, share, radiance }
+                Sample { weight, near, far, share, radiance, um, emissivity }
             })
             .collect();
         let ends = scene.chamber.as_ref().map(|chamber| ends(scene, chamber, &band, &mut samples));
@@ -174,7 +210,7 @@ impl Lights {
                 Some(MediumSource::Cfd(_) | MediumSource::Parametric(_)) => false,
                 Some(MediumSource::Spectral(..)) | None => true,
             };
-        Self { samples, ends, glow, lit }
+        Self { samples, ends, glow, lit, plate_k }
     }
 
     /// Whether radiances are known.
@@ -211,10 +247,14 @@ impl Lights {
         let (mut by_end, mut contrast, mut radiance) = ([0.0; ENDS], [0.0; ENDS], 0.0);
         for (g, (sample, light)) in self.samples.iter().zip(lights).enumerate() {
             let place = g.min(shares.len() - 1);
-            let through = sample.near.transmittance;
+            let back = Back::of(&shares[place], &sample.far, &sample.near);
+            let through = sample.near.transmittance * back.again;
             for end in 0..ENDS {
-                let mirrored =
-                    if end == *opposite { sample.far.reflectance * shares[place].plate } else { 0.0 };
+                let mirrored = if end == *opposite {
+                    sample.far.reflectance * shares[place].plate * back.walls
+                } else {
+                    0.0
+                };
                 let share = through * (ends.shares[place][end] + mirrored);
                 let more = sample.weight * (light.radiance[end] - sample.radiance[1]);
                 by_end[end] += light.share[end] * share;
@@ -235,8 +275,10 @@ impl Lights {
             return self.see_apart(shares, ends).1;
         };
         let Sample { near, far, .. } = &self.samples[group];
-        let mut by_end = ends.shares[group].map(|share| near.transmittance * share);
-        by_end[*opposite] += near.transmittance * far.reflectance * shares[group].plate;
+        let back = Back::of(&shares[group], far, near);
+        let through = near.transmittance * back.again;
+        let mut by_end = ends.shares[group].map(|share| through * share);
+        by_end[*opposite] += through * far.reflectance * shares[group].plate * back.walls;
         by_end
     }
 
@@ -253,50 +295,73 @@ impl Lights {
         let mut seen = Seen::default();
         // Change of the radiance with plate and medium of each share, the walls giving way.
         let mut contrasts = vec![[0.0; 2]; shares.len()];
-        let mut through_mean = 0.0;
+        let (mut through_mean, mut mirrored_mean) = (0.0, 0.0);
         for (g, sample) in samples.iter().enumerate() {
             let place = g.min(shares.len() - 1);
             let share = &shares[place];
-            let Sample { weight, near, far, share: [wp, ww, wm, wn, wf, wl], radiance } = *sample;
+            let Sample { weight, near, far, share: [wp, ww, wm, wn, wf, wl], radiance, .. } = *sample;
             let [lp, lw, lm, ln, lf, ll] = radiance;
-            let through = near.transmittance;
+            let back = Back::of(share, &far, &near);
+            let through = near.transmittance * back.again;
             through_mean += wm * through;
+            mirrored_mean += wm * through * far.reflectance;
             let plate = through * far.transmittance;
             let behind = through * far.absorptance;
+            // What the far window mirrors of the near one: laboratory and window.
+            let returned = through * far.reflectance * share.plate * back.opening;
             seen.plate += wp * plate * share.plate;
-            seen.walls += ww * through * (share.walls + far.reflectance * share.plate);
-            seen.medium += wm * through * share.medium;
-            seen.window += wf * behind * share.plate + wn * near.absorptance;
-            seen.camera_side += wl * near.reflectance;
+            seen.plate_excess_k += wp * plate * share.excess[0];
+            seen.walls += ww * through * (share.walls + far.reflectance * share.plate * back.walls);
+            seen.medium += wm * through * (share.medium + far.reflectance * share.plate * back.medium);
+            seen.window += wf * behind * share.plate + wn * (near.absorptance + returned * near.absorptance);
+            seen.camera_side += wl * (near.reflectance + returned * near.transmittance);
             let [sp, sw, sm] = share.se;
             let covariance = 0.5 * (sm * sm - sp * sp - sw * sw);
             let mirrored = sw * sw + (far.reflectance * sp).powi(2) + 2.0 * far.reflectance * covariance;
             seen.se[0] += wp * plate * sp;
-            seen.se[1] += ww * through * mirrored.max(0.0).sqrt();
-            seen.se[2] += wm * through * sm;
+            seen.se[1] += ww * through * (mirrored.max(0.0).sqrt() + far.reflectance * share.plate * back.se);
+            seen.se[2] += wm * through * (sm + far.reflectance * share.plate * back.se);
             seen.se[3] += wf * behind * sp;
             let medium = match self.glow {
-                Glow::Temperature(_) => weight * through * share.medium * lm,
-                Glow::GroupChannel => weight * through * share.emission,
+                Glow::Temperature(_) => {
+                    weight * through * (share.medium + far.reflectance * share.plate * back.medium) * lm
+                }
+                Glow::GroupChannel => {
+                    weight * through * (share.emission + far.reflectance * share.plate * back.emission)
+                }
                 Glow::BandChannel => 0.0,
             };
             seen.radiance_medium += medium;
             seen.radiance += weight
                 * (plate * share.plate * lp
-                    + through * (share.walls + far.reflectance * share.plate) * lw
+                    + through * (share.walls + far.reflectance * share.plate * back.walls) * lw
                     + behind * share.plate * lf
                     + near.absorptance * ln
                     + near.reflectance * ll);
+            // Apart, so that nothing changes where there is nothing of it.
+            if share.mirrored.is_some() {
+                seen.radiance += weight * returned * (near.absorptance * ln + near.transmittance * ll);
+            }
+            if share.excess.iter().any(|e| *e != 0.0) && share.plate > 0.0 {
+                seen.radiance += weight * plate * sample.excess(share, self.plate_k);
+            }
             let own = match self.glow {
                 Glow::GroupChannel if share.medium > 0.0 => share.emission / share.medium,
                 _ => lm,
             };
             contrasts[place][0] +=
-                weight * (plate * lp + through * (far.reflectance - 1.0) * lw + behind * lf);
+                weight * (plate * lp + through * (far.reflectance * back.walls - 1.0) * lw + behind * lf);
+            if share.mirrored.is_some() {
+                let window = back.opening * (near.absorptance * ln + near.transmittance * ll);
+                contrasts[place][0] += weight * through * far.reflectance * (back.medium * own + window);
+            }
             contrasts[place][1] += weight * through * (own - lw);
         }
         if self.glow == Glow::BandChannel {
             seen.radiance_medium = through_mean * shares[0].emission;
+            if let Some(back) = shares[0].mirrored {
+                seen.radiance_medium += mirrored_mean * shares[0].plate * back.emission;
+            }
         }
         seen.radiance += seen.radiance_medium;
         seen.se_radiance = shares
@@ -326,8 +391,8 @@ fn ends(
     let middle = [0, 1, 2].map(|a: usize| 0.5 * (chamber.lower_m()[a] + chamber.upper_m()[a]));
     let opposite = plate.as_ref().map_or(0, |p| chamber.end(middle, p.facing()));
     let emissivity = source.walls.map(|w| w.emissivity);
-    let own = scene.plate.as_ref().map_or(1.0, |p| p.emissivity);
     let windowed = scene.windows.far.is_some();
+    let laboratory = scene.plate.as_ref().is_some_and(|p| p.mirrors == Some(PlateMirrors::Laboratory));
     let mut lights: Vec<EndSample> = samples
         .iter_mut()
         .zip(&band.wavelengths_um)
@@ -339,9 +404,16 @@ fn ends(
             sources[BEYOND] = photon_radiance(um, source.outside_k);
             // Through a far window the chamber sees the plate, the glass, and itself.
             let far = sample.far;
-            let absorbs = if windowed { (1.0 - far.reflectance).max(f64::MIN_POSITIVE) } else { own };
+            // A plate that mirrors the laboratory looks black to the walls: what it mirrors is its own light.
+            let absorbs = match (windowed, laboratory) {
+                (true, _) => (1.0 - far.reflectance).max(f64::MIN_POSITIVE),
+                (false, true) => 1.0,
+                (false, false) => sample.emissivity,
+            };
             sources[PLATE] = if windowed {
                 (far.transmittance * sample.radiance[0] + far.absorptance * sample.radiance[4]) / absorbs
+            } else if laboratory {
+                sample.radiance[0]
             } else {
                 let kelvin = scene.plate.as_ref().and_then(|p| p.temperature_k);
                 kelvin.map_or(0.0, |t| photon_radiance(um, t))
@@ -363,6 +435,47 @@ fn ends(
         lights.iter_mut().for_each(|l| l.share[end] /= sum);
     }
     (lights, opposite)
+}
+
+/// What comes back from the far window besides the plate and its own light, and how much everything grows by the light
+/// that goes to and fro between the windows.
+struct Back {
+    walls: f64,
+    medium: f64,
+    emission: f64,
+    opening: f64,
+    again: f64,
+    se: f64,
+}
+
+impl Back {
+    fn of(share: &Share, far: &PlateOptics, near: &PlateOptics) -> Self {
+        match share.mirrored {
+            None => Self { walls: 1.0, medium: 0.0, emission: 0.0, opening: 0.0, again: 1.0, se: 0.0 },
+            Some(Mirrored { opening, medium, emission, se }) => {
+                let round = share.plate * opening * far.reflectance * near.reflectance;
+                let walls = (1.0 - opening - medium).max(0.0);
+                // Of two perfect mirrors with nothing between them nothing is seen.
+                let again = if round < 1.0 { 1.0 / (1.0 - round) } else { 0.0 };
+                Self { walls, medium, emission, opening, again, se }
+            }
+        }
+    }
+}
+
+impl Sample {
+    /// By how much the light of an uneven plate exceeds that of an even one, times the plate's share; per µm.
+    fn excess(&self, share: &Share, plate_k: Option<f64>) -> f64 {
+        let Some(even_k) = plate_k else { return 0.0 };
+        let mean = share.excess[0] / share.plate;
+        let variance = (share.excess[1] / share.plate - mean * mean).max(0.0);
+        let kelvin = (even_k + mean).max(0.0);
+        let plain = photon_radiance(self.um, kelvin) - photon_radiance(self.um, even_k);
+        // B'' from differences of B' 1 K apart: of a small correction.
+        let slope = |t: f64| if t > 0.0 { d_photon_radiance_dt(self.um, t) } else { 0.0 };
+        let bend = slope(kelvin + 0.5) - slope((kelvin - 0.5).max(0.0));
+        share.plate * self.emissivity * (plain + 0.5 * variance * bend)
+    }
 }
 
 /// How the medium shines, and the temperature with which its coefficient is weighted over the band.

@@ -7,6 +7,8 @@ pub mod field;
 pub mod file;
 pub mod import;
 pub mod library;
+pub mod exposure;
 pub mod lights;
+pub mod mirror;
 pub mod optics;
 pub mod spray;

@@ -8,6 +8,7 @@ use super::bricks::{Bricks, EDGE};
 use super::camera::Sights;
 use super::chamber::{ENDS, SIDES};
 use super::fine::{CELLS, Fine, is_occupied};
+use super::lens::disc;
 use super::paths::{FIRST_DIMENSIONS, MEDIUM, Memory, PLATE, WALLS, World};
 use super::sobol::{self, Coordinates, Sequence};
 use super::spectrum::{Spectrum, narrow, vectorised};
@@ -19,6 +20,9 @@ const TASK_LEAVES: usize = 64;
 
 /// Optical depth of a cell below which places in it are taken as uniform; bends the mean by less.
 const THIN: f64 = 1e-6;
+
+/// First of the two coordinates of a place in the aperture.
+const APERTURE_DIMENSION: usize = 400_000;
 
 const _: () = assert!(FIRST_DIMENSIONS == 7);
 
@@ -233,7 +237,12 @@ fn start<S: Spectrum>(
     let wanted = narrow(at.get(2)) * last.2;
     let (cell, corner, _) = cells[cells.partition_point(|c| c.2 <= wanted).min(cells.len() - 1)];
     let place = fine.bricks.point([corner[0] + at.get(3), corner[1] + at.get(4), corner[2] + at.get(5)]);
-    let (direction, distance) = sights.towards(place);
+    let (direction, distance) = if sights.has_lens() {
+        // The mean over the aperture: what sights through one place differ by is left to the straight part.
+        sights.towards_through(place, disc(at.get(APERTURE_DIMENSION), at.get(APERTURE_DIMENSION + 1)))
+    } else {
+        sights.towards(place)
+    };
     if distance > 0.0 {
         let (place, weight) = seen_place(fine, cell, corner, place, direction);
         world.scattered(at, place, direction, weight, rows, memory);

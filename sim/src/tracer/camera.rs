@@ -1,8 +1,9 @@
 //! The camera as a maker of rays: pinhole or telecentric.
 //!
-//! Row 0 of the image is the `up` side, column 0 the left side as seen by the camera. No lens, no blur.
+//! Row 0 of the image is the `up` side, column 0 the left side as seen by the camera. Sights through a lens: `lens`.
 
 use super::error::TracerError;
+use super::lens::{Lens, Pupil};
 use super::vector::{Vector, along, cross, sub, unit};
 
 /// How the lines of sight are arranged.
@@ -47,19 +48,22 @@ pub struct Camera {
     pub rows: usize,
     /// How a pixel's value is taken from its area.
     pub pixel_filter: PixelFilter,
+    /// The lens; none where everything is in focus.
+    pub lens: Option<Lens>,
 }
 
 /// A camera with its frame of unit vectors.
 #[derive(Debug, Clone)]
 pub struct Sights {
-    position: Vector,
-    forward: Vector,
+    pub(super) position: Vector,
+    pub(super) forward: Vector,
     /// Half the image's extent to the right and up: directions at unit distance (pinhole) or metres (telecentric).
-    right: Vector,
-    upward: Vector,
-    parallel: bool,
-    rows: f64,
-    columns: f64,
+    pub(super) right: Vector,
+    pub(super) upward: Vector,
+    pub(super) parallel: bool,
+    pub(super) rows: f64,
+    pub(super) columns: f64,
+    pub(super) pupil: Option<Pupil>,
 }
 
 impl Camera {
@@ -68,7 +72,7 @@ impl Camera {
     /// # Errors
     ///
     /// [`TracerError::Geometry`] for undefined positions, a direction of length zero, `up` along the axis, or a field of
-    /// view outside (0, 180) degrees.
+    /// view outside (0, 180) degrees, a lens that is not positive or not of the camera's kind.
     pub fn sights(&self) -> Result<Sights, TracerError> {
         let geometry = |what, condition| TracerError::Geometry { what, condition };
         if !self.position_m.iter().chain(&self.look_at_m).all(|c| c.is_finite()) {
@@ -98,7 +102,9 @@ impl Camera {
         #[expect(clippy::cast_precision_loss, reason = "images are smaller than 2^53")]
         let (rows, columns) = (self.rows as f64, self.columns as f64);
         let tall = half * rows / columns.max(1.0);
+        let pupil = self.pupil(right, upward)?;
         Ok(Sights {
+            pupil,
             position: self.position_m,
             forward,
             right: right.map(|c| c * half),

@@ -127,6 +127,12 @@ impl Walls {
         }
     }
 
+    /// The same surroundings without telling walls apart.
+    #[must_use]
+    pub fn together(self) -> Self {
+        if let Self::Apart(chamber) = self { Self::Alike(chamber) } else { self }
+    }
+
     /// The chamber whose walls are told apart, if they are.
     pub fn apart(&self) -> Option<&Chamber> {
         if let Self::Apart(chamber) = self { Some(chamber) } else { None }

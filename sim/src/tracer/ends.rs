@@ -3,6 +3,7 @@
 use super::camera::PixelFilter;
 use super::chamber::{Chamber, ENDS};
 use super::pixels::{Frame, sub_sights};
+use super::sobol::{self, Sequence};
 use super::spectrum::narrow;
 use rayon::prelude::*;
 
@@ -15,6 +16,9 @@ const PLATE: usize = ENDS;
 impl Frame<'_> {
     /// Share of each pixel's area that sees each wall and the place outside: `[pixel][end]`, with sum 1 − `plate_seen`.
     pub(super) fn ends_seen(&self, chamber: &Chamber, plate_seen: &[f32]) -> Vec<f32> {
+        if self.spreads() {
+            return self.ends_spread(chamber, plate_seen);
+        }
         let columns = self.camera.columns;
         let centre = self.camera.pixel_filter == PixelFilter::Centre;
         let corners: Vec<usize> = (0..(self.camera.rows + 1) * (columns + 1))
@@ -57,6 +61,40 @@ impl Frame<'_> {
         seen
     }
 
+    /// The same where the sights through a pixel spread.
+    fn ends_spread(&self, chamber: &Chamber, plate_seen: &[f32]) -> Vec<f32> {
+        let columns = self.camera.columns;
+        let mut seen = vec![0.0; plate_seen.len() * ENDS];
+        seen.par_chunks_exact_mut(ENDS).zip(plate_seen).enumerate().with_min_len(1024).for_each(
+            |(pixel, (seen, &plate))| {
+                if plate >= 1.0 {
+                    return;
+                }
+                let sequence = Sequence::new(sobol::sequence(0, index(pixel), u32::MAX));
+                let mut run = sequence.from(0);
+                let mut counts = [0_u16; ENDS + 1];
+                let mut first = None;
+                for _ in 0..EDGE_SIGHTS * EDGE_SIGHTS {
+                    let at = run.next();
+                    let at = [0, 1, 2, 3, 4].map(|d: usize| at.get(d));
+                    let (origin, direction) = self.sub_sight(pixel / columns, pixel % columns, at).ray;
+                    let end = chamber.end(origin, direction);
+                    first = first.or(Some(end));
+                    let plate = self.plate.is_some_and(|p| p.hit(origin, direction).is_some());
+                    counts[if plate { PLATE } else { end }] += 1;
+                }
+                if let (true, Some(end)) = (counts[..ENDS].iter().all(|&n| n == 0), first) {
+                    counts[end] = 1;
+                }
+                let sum: u16 = counts[..ENDS].iter().sum();
+                for (seen, count) in seen.iter_mut().zip(counts) {
+                    *seen = (1.0 - plate) * f32::from(count) / f32::from(sum.max(1));
+                }
+            },
+        );
+        seen
+    }
+
     /// The end of a sight, or the plate.
     fn end(&self, chamber: &Chamber, row: f64, column: f64) -> usize {
         let (origin, direction) = self.sights.ray(row, column);
@@ -80,6 +118,10 @@ pub(super) fn close(ends: &mut [f32], plate: &[f32], medium: &[f32]) {
             *end = narrow(if sum > 0.0 { f64::from(*end) * walls / sum } else { walls / real(ENDS) });
         }
     }
+}
+
+fn index(pixel: usize) -> u32 {
+    u32::try_from(pixel).unwrap_or(u32::MAX)
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]

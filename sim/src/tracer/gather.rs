@@ -12,7 +12,7 @@ use super::fine::{CELLS, Fine};
 use super::plate::Plate;
 use super::reconstruct::{InLeaf, ROWS, Scattered};
 use super::spectrum::{Spectrum, narrow};
-use super::vector::Vector;
+use super::vector::{Vector, sub};
 
 /// Nothing can be seen through less than this, the smallest normal number of f32 with a margin.
 const OPAQUE: f32 = 1e-30;
@@ -109,9 +109,22 @@ impl<S: Spectrum> Sight<S> {
         ray: (Vector, Vector),
         share: f32,
     ) {
+        self.add_moved::<ERRORS>(field, ray, [0.0; 3], share);
+    }
+
+    /// The same at a moment at which the medium, but not the plate, has moved.
+    #[inline(always)]
+    pub(super) fn add_moved<const ERRORS: bool>(
+        &mut self,
+        field: &Field<'_, S>,
+        ray: (Vector, Vector),
+        moved: Vector,
+        share: f32,
+    ) {
         let (origin, direction) = ray;
         let fine = field.fine;
         let hit = field.plate.and_then(|p| p.hit(origin, direction));
+        let origin = sub(origin, moved);
         let mut through = S::splat(share);
         let extra = fine.channels - 1;
         let mut own = S::ZERO;
@@ -167,7 +180,7 @@ impl<S: Spectrum> Sight<S> {
         if hit.is_some() {
             self.plate = self.plate.plus(through);
         } else if let Some(chamber) = field.chamber {
-            let end = &mut self.ends[chamber.end(origin, direction)];
+            let end = &mut self.ends[chamber.end(ray.0, direction)];
             *end = end.plus(through);
         }
         self.met |= cells > 0;

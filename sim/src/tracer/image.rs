@@ -55,7 +55,7 @@ const ERROR_STRIDE: usize = 4;
 const ERROR_REACH: usize = 8;
 
 /// Share of the target that a single sight through a pixel may err.
-const PIXEL_SHARE: f32 = 0.5;
+pub(super) const PIXEL_SHARE: f32 = 0.5;
 
 /// Albedo over target below which scattering is left out: what is scattered changes a coefficient by at most the albedo.
 const ALBEDO_SHARE: f64 = 0.1;
@@ -82,11 +82,30 @@ pub struct RenderOptions {
     pub paths_max: u64,
     /// What surrounds the medium, which must lie inside.
     pub walls: Walls,
+    /// How far the medium moves during the exposure, in metres; zero: it stands still. The exposure is centred at the
+    /// medium's own moment, and the light scattered into the sights is that of this moment: what changes evenly cancels.
+    pub motion_m: [f64; 3],
 }
 
 impl Default for RenderOptions {
     fn default() -> Self {
-        Self { target_error: 1e-3, seed: 1, scatter: true, paths_max: 1 << 28, walls: Walls::Far }
+        Self {
+            target_error: 1e-3,
+            seed: 1,
+            scatter: true,
+            paths_max: 1 << 28,
+            motion_m: [0.0; 3],
+            walls: Walls::Far,
+        }
+    }
+}
+
+impl RenderOptions {
+    pub(super) fn check_motion(&self) -> Result<(), TracerError> {
+        if self.motion_m.iter().all(|c| c.is_finite()) {
+            return Ok(());
+        }
+        Err(TracerError::Geometry { what: "the medium's motion during the exposure", condition: "finite" })
     }
 }
 
@@ -108,9 +127,10 @@ pub fn render_image(
     if options.target_error.is_nan() || options.target_error <= 0.0 {
         return Err(TracerError::Geometry { what: "the target error", condition: "positive" });
     }
+    options.check_motion()?;
     let sights = camera.sights()?;
     let plate = plate.map(Plate::new).transpose()?;
-    let frame = Frame { camera, sights: &sights, plate: plate.as_ref() };
+    let frame = Frame { camera, sights: &sights, plate: plate.as_ref(), motion: options.motion_m };
     let job = Job { medium, frame, options, progress };
     match medium.groups {
         1 => Ok(job.render::<One>()),
@@ -123,34 +143,34 @@ pub fn render_image(
     }
 }
 
-struct Job<'a> {
+pub(super) struct Job<'a> {
     medium: &'a GridMedium,
-    frame: Frame<'a>,
-    options: &'a RenderOptions,
+    pub(super) frame: Frame<'a>,
+    pub(super) options: &'a RenderOptions,
     progress: &'a (dyn Fn(f64) + Sync),
 }
 
 /// Figures of the work, by name.
-type Stats = Vec<(String, f64)>;
+pub(super) type Stats = Vec<(String, f64)>;
 
 /// In-scattered light with the leaves that it belongs to.
-struct Lit<S> {
-    scattered: Scattered<S>,
-    leaves: Leaves,
+pub(super) struct Lit<S> {
+    pub(super) scattered: Scattered<S>,
+    pub(super) leaves: Leaves,
 }
 
 /// What is known of a pixel besides its coefficients.
-#[derive(Clone, Copy)]
-struct Summary {
+#[derive(Clone, Copy, Default)]
+pub(super) struct Summary {
     /// Plate and medium, mean over the groups.
-    shown: [f32; ROWS],
+    pub(super) shown: [f32; ROWS],
     /// Noise and reconstruction error together, of plate and medium.
-    error: [f32; ROWS],
+    pub(super) error: [f32; ROWS],
     /// The same of the wall that is known least.
-    error_ends: f32,
-    met: bool,
-    sights: u32,
-    cells: u32,
+    pub(super) error_ends: f32,
+    pub(super) met: bool,
+    pub(super) sights: u32,
+    pub(super) cells: u32,
 }
 
 impl Job<'_> {
@@ -168,7 +188,11 @@ impl Job<'_> {
         tell(&mut stats, "bricks_skipped", real(fine.bricks.list.len() - fine.occupied.len()));
         (self.progress)(0.05);
         let lit = self.lit(&fine, &candidates, &mut stats);
-        let mut operator = self.gather(&fine, lit.as_ref(), plate_seen, &candidates, &mut stats);
+        let mut operator = if self.frame.spreads() {
+            self.gather_spread(&fine, lit.as_ref(), plate_seen, &candidates, &mut stats)
+        } else {
+            self.gather(&fine, lit.as_ref(), plate_seen, &candidates, &mut stats)
+        };
         stats.insert(0, ("pixels".to_owned(), real(pixels)));
         stats.insert(1, ("pixels_active".to_owned(), real(operator.pixels.len())));
         stats.insert(2, ("pixels_skipped".to_owned(), real(pixels - operator.pixels.len())));
@@ -301,13 +325,17 @@ impl Job<'_> {
         } else {
             4
         };
-        candidates
+        let mut probes: Vec<(f64, f64)> = candidates
             .iter()
             .map(|&p| (p as usize / columns, p as usize % columns))
             // Rows are shifted against each other, so that the sights do not line up with the cells.
             .filter(|&(row, column)| row % stride == 0 && (column + row / stride) % stride == 0)
             .flat_map(|(row, column)| sub_sights(row, column, fine_sights))
-            .collect()
+            .collect();
+        if self.frame.spreads() {
+            probes.extend(self.frame.beside(&fine.bricks, stride));
+        }
+        probes
     }
 
     /// Rms noise and reconstruction error over a part of the pixels, the larger ones of plate and medium.
@@ -435,7 +463,7 @@ impl Job<'_> {
     }
 
     /// Coefficients of a pixel: plate, emission, direct emission, and ends of rays where walls are told apart.
-    fn width(&self, groups: usize, channels: usize) -> usize {
+    pub(super) fn width(&self, groups: usize, channels: usize) -> usize {
         groups * (1 + 2 * channels + if self.options.walls.apart().is_some() { ENDS } else { 0 })
     }
 
@@ -495,7 +523,7 @@ impl Job<'_> {
         (hits > 0 && misses > 0).then(|| [seen / narrow(real(hits)), (1.0 - seen) / narrow(real(misses))])
     }
 
-    fn assemble<S: Spectrum>(
+    pub(super) fn assemble<S: Spectrum>(
         &self,
         fine: &Fine<S>,
         plate_seen: Vec<f32>,
@@ -534,7 +562,7 @@ impl Job<'_> {
 
     /// The half differences are single draws: their rms over nearby pixels is the error, to which that of the mean over
     /// the pixel's area is added.
-    fn errors(
+    pub(super) fn errors(
         &self,
         mut operator: Operator,
         summaries: &[Summary],
@@ -598,7 +626,7 @@ impl Job<'_> {
 }
 
 /// Whether a pixel's errors are followed: for one in 16, of which those nearby are averaged.
-fn with_errors(row: usize, column: usize) -> bool {
+pub(super) fn with_errors(row: usize, column: usize) -> bool {
     row.is_multiple_of(ERROR_STRIDE) && column.is_multiple_of(ERROR_STRIDE)
 }
 
@@ -608,7 +636,7 @@ fn finest(leaves: &Leaves) -> bool {
 }
 
 /// A complete sight as coefficients.
-fn finish<S: Spectrum>(sight: &Sight<S>, groups: usize, values: &mut [f32]) -> Summary {
+pub(super) fn finish<S: Spectrum>(sight: &Sight<S>, groups: usize, values: &mut [f32]) -> Summary {
     let share = 1.0 / sight.weight.max(f32::MIN_POSITIVE);
     let channels = sight.emission.len();
     let mut shown = [0.0; ROWS];
@@ -652,7 +680,7 @@ fn finish<S: Spectrum>(sight: &Sight<S>, groups: usize, values: &mut [f32]) -> S
     }
 }
 
-fn tell(stats: &mut Stats, name: &str, value: f64) {
+pub(super) fn tell(stats: &mut Stats, name: &str, value: f64) {
     stats.push((name.to_owned(), value));
 }
 

@@ -4,6 +4,7 @@ use super::bricks::{Bricks, EDGE};
 use super::camera::{Camera, PixelFilter, Sights};
 use super::plate::Plate;
 use super::spectrum::narrow;
+use super::vector::Vector;
 use rayon::prelude::*;
 
 /// Sub-sights per axis in pixels that the plate's edge crosses.
@@ -21,6 +22,8 @@ pub(super) struct Frame<'a> {
     pub(super) camera: &'a Camera,
     pub(super) sights: &'a Sights,
     pub(super) plate: Option<&'a Plate>,
+    /// How far the medium moves during the exposure.
+    pub(super) motion: Vector,
 }
 
 impl Frame<'_> {
@@ -37,9 +40,9 @@ impl Frame<'_> {
             let low = bricks.at(b).map(|c| c * EDGE);
             let high = [0, 1, 2].map(|a| (low[a] + EDGE).min(bricks.cells[a]));
             let (mut from, mut to) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-            for corner in 0..8 {
+            for corner in 0..8 * self.views() {
                 let units = [0, 1, 2].map(|a| real(if corner >> a & 1 == 0 { low[a] } else { high[a] }));
-                let Some((row, column)) = self.sights.project(bricks.point(units)) else {
+                let Some((row, column)) = self.view(corner / 8, bricks.point(units)) else {
                     // Around or behind the pinhole: it may appear anywhere.
                     return (0..rows * columns).map(index).collect();
                 };
@@ -61,8 +64,9 @@ impl Frame<'_> {
     /// Share of each pixel's area that sees the plate.
     pub(super) fn plate_seen(&self) -> Vec<f32> {
         let (rows, columns) = (self.camera.rows, self.camera.columns);
-        if self.plate.is_none() {
-            return vec![0.0; rows * columns];
+        let Some(plate) = self.plate else { return vec![0.0; rows * columns] };
+        if self.sights.has_lens() {
+            return self.plate_seen_through(plate);
         }
         if self.camera.pixel_filter == PixelFilter::Centre {
             return (0..rows * columns)

@@ -143,7 +143,7 @@ impl Plate {
     }
 
     /// A place on it, uniform over its area for uniform `u` and `v` in (0, 1); the origin for a cone.
-    pub(crate) fn place(&self, u: f64, v: f64) -> Vector {
+    pub(crate) fn spot(&self, u: f64, v: f64) -> Vector {
         let (a, b) = match self.form {
             Form::Rectangle { half_width, half_height } => {
                 ((2.0 * u - 1.0) * half_width, (2.0 * v - 1.0) * half_height)
@@ -155,6 +155,28 @@ impl Plate {
             Form::Cone { .. } => (0.0, 0.0),
         };
         along(along(self.centre, a, self.across), b, self.upward)
+    }
+
+    /// Where the ray meets its plane from the front, in half widths (or radii) to the right and half heights up, as seen
+    /// from the front; none for a cone, and for rays that do not meet it so.
+    pub(super) fn place(&self, origin: Vector, direction: Vector) -> Option<[f64; 2]> {
+        let halves = match self.form {
+            Form::Rectangle { half_width, half_height } => [half_width, half_height],
+            Form::Disc { radius } => [radius; 2],
+            Form::Cone { .. } => return None,
+        };
+        let towards = -dot(self.facing, direction);
+        let distance = dot(self.facing, sub(origin, self.centre)) / towards;
+        if !(towards > 0.0 && distance >= 0.0) {
+            return None;
+        }
+        let place = sub(along(origin, distance, direction), self.centre);
+        Some([dot(place, self.across) / halves[0], dot(place, self.upward) / halves[1]])
+    }
+
+    /// The same plate elsewhere; a cone's directions stay.
+    pub(super) fn moved(&self, by: Vector) -> Self {
+        Self { centre: along(self.centre, 1.0, by), ..self.clone() }
     }
 
     /// Its centre; none for a cone.

@@ -19,6 +19,7 @@ use super::plate::{Plate, PlateShape};
 use super::scatter::Scatter;
 use super::sobol::{self, Sequence};
 use super::spectrum::{Lane, One, Spectrum, narrow, vectorised};
+use super::vector::along;
 use rayon::prelude::*;
 
 /// Independent scrambles per pixel.
@@ -29,6 +30,12 @@ const FIRST_POINTS: u32 = 16;
 
 /// Sub-sights per axis for the emission along the straight sight.
 const DIRECT_SIGHTS: usize = 4;
+
+/// Straight sights of pixels whose sights spread over an aperture or an exposure.
+const SPREAD_SIGHTS: u32 = 256;
+
+/// The coordinates that choose them: those of the pixel as ever, the others beyond what paths take.
+const SPREAD_DIMENSIONS: [usize; 5] = [4, 5, 400_000, 400_001, 400_002];
 
 /// Renders some pixels of an image, or all that meet the medium, each to the target error.
 ///
@@ -47,9 +54,10 @@ pub fn render_reference(
     if options.target_error.is_nan() || options.target_error <= 0.0 {
         return Err(TracerError::Geometry { what: "the target error", condition: "positive" });
     }
+    options.check_motion()?;
     let sights = camera.sights()?;
     let plate = plate.map(Plate::new).transpose()?;
-    let frame = Frame { camera, sights: &sights, plate: plate.as_ref() };
+    let frame = Frame { camera, sights: &sights, plate: plate.as_ref(), motion: options.motion_m };
     match medium.groups {
         1 => Ok(render::<One>(medium, &frame, options, chosen, progress)),
         2..=16 => Ok(render::<[Lane; 2]>(medium, &frame, options, chosen, progress)),
@@ -144,8 +152,18 @@ fn one<S: Spectrum>(
     let centre = frame.camera.pixel_filter == PixelFilter::Centre;
     let field = Field { fine, plate: frame.plate, chamber: world.chamber, light: None };
     let mut sight = Sight::<S>::new(channels, world.chamber.is_some());
-    for (r, c) in sub_sights(row, column, if centre { 1 } else { DIRECT_SIGHTS }) {
-        sight.add::<false>(&field, frame.sights.ray(r, c), 1.0);
+    if frame.spreads() {
+        let sequence = Sequence::new(sobol::sequence(options.seed, pixel, u32::MAX));
+        let mut run = sequence.from(0);
+        for _ in 0..SPREAD_SIGHTS {
+            let at = run.next();
+            let sub = frame.sub_sight(row, column, [0, 1, 2, 3, 4].map(|d: usize| at.get(d)));
+            sight.add_moved::<false>(&field, sub.ray, sub.moved, 1.0);
+        }
+    } else {
+        for (r, c) in sub_sights(row, column, if centre { 1 } else { DIRECT_SIGHTS }) {
+            sight.add::<false>(&field, frame.sights.ray(r, c), 1.0);
+        }
     }
     let mut memory = Memory::new();
     let rows_count = world.rows();
@@ -162,10 +180,22 @@ fn one<S: Spectrum>(
             let mut run = sequence.from(points);
             for _ in points..next {
                 let at = run.next();
-                let jitter = if centre { [0.5; 2] } else { [at.get(4), at.get(5)] };
-                let (origin, direction) = frame.sights.ray(row as f64 + jitter[0], column as f64 + jitter[1]);
                 rows.iter_mut().for_each(|row| *row = S::ZERO);
-                world.follow(&at, origin, direction, S::splat(1.0), rows, &mut memory);
+                if frame.spreads() {
+                    let places = SPREAD_DIMENSIONS.map(|d| at.get(d));
+                    let sub = frame.sub_sight(row, column, places);
+                    // The medium stays where it is: everything else moves the other way.
+                    let back = sub.moved.map(|c| -c);
+                    let plate = world.plate.map(|p| p.moved(back));
+                    let world = World { plate: plate.as_ref(), ..*world };
+                    let ((origin, direction), one) = (sub.ray, S::splat(1.0));
+                    world.follow(&at, along(origin, 1.0, back), direction, one, rows, &mut memory);
+                } else {
+                    let jitter = if centre { [0.5; 2] } else { [at.get(4), at.get(5)] };
+                    let (origin, direction) =
+                        frame.sights.ray(row as f64 + jitter[0], column as f64 + jitter[1]);
+                    world.follow(&at, origin, direction, S::splat(1.0), rows, &mut memory);
+                }
                 for (k, row) in rows.iter().enumerate() {
                     for g in 0..groups {
                         sums[k * groups + g] += f64::from(row.get(g));

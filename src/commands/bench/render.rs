@@ -249,6 +249,7 @@ fn camera() -> Camera {
         columns: 640,
         rows: 512,
         pixel_filter: PixelFilter::Box,
+        lens: None,
     }
 }
 

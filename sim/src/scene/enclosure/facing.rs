@@ -45,7 +45,7 @@ impl Facing {
         let rule = gauss_legendre_unit(PLACES);
         for &(u, weight_u) in &rule {
             for &(v, weight_v) in &rule {
-                let here = view(chamber, plate.place(u, v), plate.facing());
+                let here = view(chamber, plate.spot(u, v), plate.facing());
                 for (sum, share) in shares.iter_mut().flatten().zip(here.iter().flatten()) {
                     *sum += weight_u * weight_v * share;
                 }

@@ -32,6 +32,7 @@ impl Reader<'_> {
             columns: table.columns,
             rows: table.rows,
             pixel_filter,
+            lens: table.lens.as_ref().map(|lens| self.lens(table, lens, projection)).transpose()?,
         };
         camera.sights().map_err(|e| self.wrong(format!("[camera] {e}")))?;
         Ok(camera)

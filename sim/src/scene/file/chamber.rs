@@ -33,10 +33,12 @@ impl Scene {
         let alike = |t: f64| t.total_cmp(&kelvin).is_eq();
         let gray = source.walls.iter().any(|w| w.emissivity < 1.0);
         let own = self.plate.iter().flat_map(|p| p.temperature_k);
-        let lit = self.plate.as_ref().is_none_or(|p| p.temperature_k.is_some());
+        let lit = self.plate.as_ref().is_none_or(|p| p.temperature_k.is_some() && p.deviation.is_none());
         let windows = &self.windows;
         let glass = windows.far.iter().map(|w| w.temperature_k);
-        let beyond = windows.far.as_ref().and(windows.lab_temperature_k);
+        let laboratory =
+            self.plate.as_ref().is_some_and(|p| p.mirrors == Some(super::PlateMirrors::Laboratory));
+        let beyond = windows.lab_temperature_k.filter(|_| windows.far.is_some() || laboratory);
         // The plate is mirrored by gray walls; so is what shines through its window or is mirrored by it.
         let mirrored =
             || own.chain(plate_temperatures_k.iter().copied()).chain(glass).chain(beyond).all(alike) && lit;

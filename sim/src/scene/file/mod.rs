@@ -6,17 +6,22 @@ mod band;
 mod camera;
 mod cfd;
 mod chamber;
+mod lens;
 mod media;
 pub mod npy;
 mod parametric;
 mod phase;
+mod plate;
 mod tables;
 mod window;
 
 pub use band::{BandSource, Samples};
 pub use chamber::ChamberSource;
+pub use lens::Exposure;
 pub use media::{CfdSource, MediumSource};
 pub use parametric::ParametricSource;
+pub use plate::{Emissivity, PlateSource};
+pub use tables::PlateMirrors;
 pub use window::{WindowSource, Windows};
 
 use crate::light::names;
@@ -24,9 +29,8 @@ use crate::scene::deposit::DepositReport;
 use crate::scene::optics::OpticsReport;
 use crate::scene::spray::SprayShots;
 use crate::tracer::camera::Camera;
-use crate::tracer::plate::{Plate, PlateShape};
 use std::path::{Path, PathBuf};
-use tables::{PlateKind, PlateTable, SceneTables, WallTable};
+use tables::{SceneTables, WallTable};
 
 /// The newest version of the format that this program reads.
 pub const SCHEMA: u32 = 1;
@@ -93,6 +97,8 @@ pub struct Scene {
     pub band: Option<BandSource>,
     /// The medium; none where the scene is empty.
     pub medium: Option<MediumSource>,
+    /// How long the camera looks, if it is not for a moment.
+    pub exposure: Option<Exposure>,
     /// The windows between camera, medium and plate, and the laboratory outside them.
     pub windows: Windows,
     /// What was changed while reading, for the user to see.
@@ -103,19 +109,6 @@ pub struct Scene {
     pub shots: Option<SprayShots>,
     /// How a CFD spray was spread on the tracer's grid, once it is.
     pub deposit: Option<DepositReport>,
-}
-
-/// The plate and its light.
-#[derive(Debug, Clone)]
-pub struct PlateSource {
-    /// Form and place.
-    pub shape: PlateShape,
-    /// Temperature in K, if given.
-    pub temperature_k: Option<f64>,
-    /// Temperatures in K of which images are wanted besides; without `temperature_k` the first one stands for it.
-    pub temperatures_k: Vec<f64>,
-    /// Emissivity in (0, 1]; the rest mirrors the walls.
-    pub emissivity: f64,
 }
 
 /// The walls and their light.
@@ -175,6 +168,7 @@ impl Reader<'_> {
             .map(|m| self.medium(m, band.as_ref(), &mut notes))
             .collect::<Result<Vec<_>, _>>()?;
         let medium = self.superpose(media)?;
+        let exposure = tables.exposure.map(|e| self.exposure(&e, medium.as_ref())).transpose()?;
         let mut scene = Scene {
             camera,
             plate,
@@ -182,6 +176,7 @@ impl Reader<'_> {
             chamber: None,
             band,
             medium,
+            exposure,
             windows: Windows::default(),
             notes,
             optics: None,
@@ -191,51 +186,13 @@ impl Reader<'_> {
         scene.windows = self.windows(&tables.window, tables.lab.as_ref(), &scene)?;
         scene.chamber = self.chamber(tables.chamber.as_ref(), &tables.wall, &scene)?;
         scene.walls = scene.walls.or(scene.chamber.as_ref().map(|c| c.walls[0]));
+        let laboratory = scene.plate.as_ref().is_some_and(|p| p.mirrors == Some(PlateMirrors::Laboratory));
+        if laboratory && scene.windows.lab_temperature_k.is_none() {
+            return Err(
+                self.wrong("[plate] mirrors \"laboratory\" needs a table [lab] with its temperature_k")
+            );
+        }
         Ok(scene)
-    }
-
-    fn plate(&self, table: &PlateTable) -> Result<PlateSource, SceneError> {
-        let facing = table.facing;
-        let given = (table.centre_m, table.width_m, table.height_m, table.diameter_m, table.half_angle_deg);
-        let shape = match (&table.shape, given) {
-            (PlateKind::Rectangle, (Some(centre_m), Some(width_m), Some(height_m), None, None)) => {
-                PlateShape::Rectangle { centre_m, facing, width_m, height_m }
-            }
-            (PlateKind::Disc, (Some(centre_m), None, None, Some(diameter_m), None)) => {
-                PlateShape::Disc { centre_m, facing, diameter_m }
-            }
-            (PlateKind::Cone, (_, None, None, None, Some(half_angle_deg))) => {
-                PlateShape::Cone { facing, half_angle_deg }
-            }
-            (PlateKind::Rectangle, _) => {
-                return Err(self.wrong(
-                    "[plate] shape \"rectangle\" needs exactly centre_m, facing, width_m and height_m",
-                ));
-            }
-            (PlateKind::Disc, _) => {
-                return Err(
-                    self.wrong("[plate] shape \"disc\" needs exactly centre_m, facing and diameter_m")
-                );
-            }
-            (PlateKind::Cone, _) => {
-                return Err(self.wrong("[plate] shape \"cone\" needs exactly facing and half_angle_deg"));
-            }
-        };
-        Plate::new(&shape).map_err(|e| self.wrong(format!("[plate] {e}")))?;
-        self.temperature("[plate]", table.temperature_k)?;
-        if !(table.emissivity > 0.0 && table.emissivity <= 1.0) {
-            return Err(self.wrong("[plate] emissivity must be above 0 and at most 1"));
-        }
-        for &t in &table.temperatures_k {
-            if !(t >= 0.0 && t.is_finite()) {
-                return Err(self.wrong(format!(
-                    "[plate] temperatures_k holds {t}; each must be finite and not negative"
-                )));
-            }
-        }
-        let temperatures_k = table.temperatures_k.clone();
-        let temperature_k = table.temperature_k.or(temperatures_k.first().copied());
-        Ok(PlateSource { shape, temperature_k, temperatures_k, emissivity: table.emissivity })
     }
 
     fn walls(&self, table: &WallTable) -> Result<WallSource, SceneError> {

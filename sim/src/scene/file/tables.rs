@@ -17,6 +17,7 @@ pub(super) struct SceneTables {
     #[serde(default)]
     pub(super) wall: Vec<SideTable>,
     pub(super) lab: Option<LabTable>,
+    pub(super) exposure: Option<ExposureTable>,
     #[serde(default)]
     pub(super) window: Vec<WindowTable>,
     pub(super) band: Option<BandTable>,
@@ -37,6 +38,24 @@ pub(super) struct CameraTable {
     pub(super) width_m: Option<f64>,
     #[serde(default)]
     pub(super) pixel_filter: FilterKind,
+    pub(super) lens: Option<LensTable>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LensTable {
+    pub(super) f_number: Option<f64>,
+    pub(super) focal_length_m: Option<f64>,
+    pub(super) aperture_m: Option<f64>,
+    pub(super) numerical_aperture: Option<f64>,
+    pub(super) focus_m: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ExposureTable {
+    pub(super) time_s: f64,
+    pub(super) velocity_m_s: Option<[f64; 3]>,
 }
 
 #[derive(Deserialize)]
@@ -68,8 +87,21 @@ pub(super) struct PlateTable {
     /// Temperatures of which images are wanted.
     #[serde(default)]
     pub(super) temperatures_k: Vec<f64>,
-    #[serde(default = "one")]
-    pub(super) emissivity: f64,
+    /// A number, or a file of wavelength_um and emissivity.
+    pub(super) emissivity: Option<NumberOrFile>,
+    pub(super) mirrors: Option<PlateMirrors>,
+    pub(super) non_uniformity_k: Option<f64>,
+    pub(super) non_uniformity_npy: Option<PathBuf>,
+}
+
+/// What a plate that is not black mirrors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PlateMirrors {
+    /// The walls.
+    Walls,
+    /// The laboratory.
+    Laboratory,
 }
 
 #[derive(Deserialize)]
@@ -135,6 +167,14 @@ pub(super) struct WindowTable {
     pub(super) thickness_m: f64,
     pub(super) temperature_k: f64,
     pub(super) diameter_m: Option<f64>,
+    pub(super) mirrors: Option<WindowMirrors>,
+}
+
+#[derive(Deserialize, Clone, Copy, PartialEq)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum WindowMirrors {
+    Walls,
+    Chamber,
 }
 
 #[derive(Deserialize)]

@@ -2,7 +2,7 @@
 //!
 //! A window covers all sights of its side and is met head on: what it does is light::window at normal incidence.
 
-use super::tables::{LabTable, WindowTable};
+use super::tables::{LabTable, WindowMirrors, WindowTable};
 use super::{MediumSource, Reader, Scene, SceneError};
 use crate::light::window::Plate;
 use crate::scene::library;
@@ -20,6 +20,14 @@ pub struct WindowSource {
     pub plate: Plate,
     /// Temperature in K.
     pub temperature_k: f64,
+    /// Its middle.
+    pub position_m: [f64; 3],
+    /// Its normal, of any length, to either side.
+    pub normal: [f64; 3],
+    /// Its diameter, if it has a border.
+    pub diameter_m: Option<f64>,
+    /// Whether the sights that it mirrors pass the medium again (far window only), instead of seeing walls.
+    pub mirrors_chamber: bool,
 }
 
 /// The windows of a scene; at most one on each side.
@@ -80,6 +88,12 @@ impl Reader<'_> {
         for (n, table) in tables.iter().enumerate() {
             let window = self.window(n, table, along, scene)?;
             let place = dot(sub(table.position_m, middle), along);
+            if place < 0.0 && table.mirrors.is_some() {
+                return Err(self.wrong_in(
+                    n,
+                    "[window] mirrors is for the window on the plate's side; what the near one mirrors comes with it",
+                ));
+            }
             let side = if place < 0.0 { &mut windows.near } else { &mut windows.far };
             if side.is_some() {
                 let which = if place < 0.0 { "camera" } else { "plate" };
@@ -159,6 +173,10 @@ impl Reader<'_> {
         Ok(WindowSource {
             plate: Plate { material, thickness_m: table.thickness_m },
             temperature_k: table.temperature_k,
+            position_m: table.position_m,
+            normal: table.normal,
+            diameter_m: table.diameter_m,
+            mirrors_chamber: table.mirrors == Some(WindowMirrors::Chamber),
         })
     }
 
