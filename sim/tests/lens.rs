@@ -1,6 +1,8 @@
 //! Blur by a lens and by motion during the exposure: against closed forms, against still images, and against pixels
 //! traced one by one.
 
+#![expect(clippy::unwrap_used, reason = "the helpers of these tests fail the test")]
+
 use ditd_sim::light::phase::PhaseFunction;
 use ditd_sim::tracer::camera::{Camera, PixelFilter, Projection};
 use ditd_sim::tracer::image::{RenderOptions, render_image};
@@ -226,7 +228,7 @@ fn scattered_light_through_a_lens_agrees_with_pixels_traced_one_by_one() {
     let single = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap().install(render);
     assert_eq!((&single.a_plate, &single.emission), (&image.a_plate, &image.emission));
     assert_eq!((&single.error_plate, &single.plate_seen), (&image.error_plate, &image.plate_seen));
-    let exact = RenderOptions { target_error: 6e-4, seed: 7, ..options };
+    let exact = RenderOptions { target_error: 1e-3, seed: 7, ..options };
     let truth = render_reference(&blob, &camera, Some(&plate), &exact, None, &|_| {}).unwrap();
     let (mut square, mut told, mut count) = ([0.0; 2], [0.0; 2], 0.0);
     for (i, pixel) in image.pixels.iter().enumerate() {
@@ -266,8 +268,8 @@ fn motion_blurs_like_the_mean_of_shifted_images() {
     assert!(count > 150.0 && rms < STEP_ERROR && largest < 5.0 * STEP_ERROR, "{rms:e} {largest:e}");
     assert!((0.7..3.0).contains(&(told / rms)), "{told:e} {rms:e}");
 
-    // A blob with scattering: the mean of 32 still images at midpoints of the exposure, which errs by h²/24 of the second
-    // derivative, here below 1e-4.
+    // A blob with scattering: the mean of 16 still images at midpoints of the exposure, h apart, which errs by h²/24 of
+    // the change of the slope over it: below 2.5e-4.
     let blob_at = |shift: f64| {
         medium([[-0.02 + shift, -0.02, -0.02], [0.02 + shift, 0.02, 0.02]], [24; 3], 0.5, |p| {
             let x = p[0] - shift;
@@ -278,7 +280,7 @@ fn motion_blurs_like_the_mean_of_shifted_images() {
     let motion = 4.0 * 2e-3;
     let moving = RenderOptions { motion_m: [motion, 0.0, 0.0], ..options() };
     let blurred = plate_image(&render(&blob_at(0.0), &small, &moving));
-    let n = 32_u32;
+    let n = 16_u32;
     let mut mean = vec![0.0; blurred.len()];
     for k in 0..n {
         let shift = motion * ((f64::from(k) + 0.5) / f64::from(n) - 0.5);

@@ -30,14 +30,8 @@ pub struct Args {
 enum Task {
     /// Mie theory: tables of spheres, single spheres, angles, size distributions on one thread; clouds on all
     Mie(Output),
-    /// The ray tracer: coefficient images of eight plumes, time against error; takes some minutes
-    Render {
-        #[command(flatten)]
-        output: Output,
-        /// Also write the scene into this folder, as `ditd render` and other programs read it
-        #[arg(long, value_name = "DIR")]
-        export: Option<std::path::PathBuf>,
-    },
+    /// The ray tracer: time against error of every mode, and with the size of scene and spray; a minute or two a subject
+    Render(render::Args),
 }
 
 #[derive(Debug, clap::Args)]
@@ -78,7 +72,7 @@ pub fn run(args: &Args, clock: &Clock) -> CommandResult {
     let watch = Watch { clock, seconds: SECONDS };
     let (output, figures) = match &args.task {
         Task::Mie(output) => (output, mie::figures(&watch)?),
-        Task::Render { output, export } => (output, render::figures(&watch, export.as_deref())?),
+        Task::Render(args) => (&args.output, render::figures(&watch, args)?),
     };
     if output.json { print(&format!("{}\n", serde_json::json!(figures))) } else { print(&table(&figures)) }
 }

@@ -328,6 +328,9 @@ fn single_rays(scene: &Scene, path: &Path, args: &Args) -> CommandResult {
     let table = RayTable::parse(&text)
         .map_err(|e| CommandError::usage(format!("render: {}: {e}", path.display())))?;
     let walls = scene.surroundings(&[]);
+    if scene.camera.as_ref().is_some_and(|c| c.lens.is_some()) || scene.exposure.is_some() {
+        eprintln!("ditd: single rays pass no lens and see the middle of the exposure");
+    }
     let target_error = args.target_error.unwrap_or(RAY_TARGET);
     let collected = trace_mirrored(scene, walls, &table.rays, target_error, args.seed)?;
     let columns = Columns::new(scene, args.groups, walls.apart().is_some());

@@ -20,7 +20,8 @@ const TOP: f64 = 16.0;
 const BOTTOM: f64 = 52.0;
 
 /// Colours of the series in order (Okabe–Ito: told apart by colour-blind eyes), repeated after the last.
-const PALETTE: [&str; 5] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9"];
+const PALETTE: [&str; 8] =
+    ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#5b6675", "#7a5195"];
 
 /// Points that a series draws at most; longer ones are thinned evenly.
 const POINTS_MAX: usize = 4000;
@@ -80,6 +81,8 @@ pub enum Style {
     Line,
     /// Dots with error bars.
     Dots,
+    /// Both.
+    Marked,
 }
 
 /// A calibration: the curve, its points, and how far they are off is told by the bars.
@@ -234,36 +237,41 @@ impl Frame {
     fn series(&self, series: &Series, colour: &str, out: &mut String) {
         let thin = series.points.len().div_ceil(POINTS_MAX).max(1);
         let points = series.points.iter().step_by(thin);
-        match series.style {
-            Style::Line => {
-                let mut path = String::new();
-                let mut pen = 'M';
-                for point in points {
-                    if self.shows(point) {
-                        path += &format!("{pen}{:.2} {:.2}", self.px(point.x), self.py(point.y));
-                        pen = 'L';
-                    } else {
-                        pen = 'M';
-                    }
-                }
-                *out +=
-                    &format!("<path d=\"{path}\" stroke=\"{colour}\" stroke-width=\"1.8\" fill=\"none\"/>\n");
+        if series.style != Style::Dots {
+            self.line(points.clone(), colour, out);
+        }
+        if series.style != Style::Line {
+            self.dots(points, colour, out);
+        }
+    }
+
+    fn line<'a>(&self, points: impl Iterator<Item = &'a Point>, colour: &str, out: &mut String) {
+        let mut path = String::new();
+        let mut pen = 'M';
+        for point in points {
+            if self.shows(point) {
+                path += &format!("{pen}{:.2} {:.2}", self.px(point.x), self.py(point.y));
+                pen = 'L';
+            } else {
+                pen = 'M';
             }
-            Style::Dots => {
-                for point in points.filter(|p| self.shows(p)) {
-                    let (x, y) = (self.px(point.x), self.py(point.y));
-                    // On a logarithmic axis a bar that reaches 0 has no end.
-                    let ends = self.y.shows(point.y - point.sigma);
-                    if point.sigma > 0.0 && point.sigma.is_finite() && ends {
-                        let (low, high) = (self.py(point.y - point.sigma), self.py(point.y + point.sigma));
-                        *out += &format!(
-                            "<path d=\"M{x:.2} {low:.2}V{high:.2}m-4 0h8M{:.2} {low:.2}h8\" stroke=\"{colour}\" fill=\"none\"/>",
-                            x - 4.0
-                        );
-                    }
-                    *out += &format!("<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"3.6\" fill=\"{colour}\"/>\n");
-                }
+        }
+        *out += &format!("<path d=\"{path}\" stroke=\"{colour}\" stroke-width=\"1.8\" fill=\"none\"/>\n");
+    }
+
+    fn dots<'a>(&self, points: impl Iterator<Item = &'a Point>, colour: &str, out: &mut String) {
+        for point in points.filter(|p| self.shows(p)) {
+            let (x, y) = (self.px(point.x), self.py(point.y));
+            // On a logarithmic axis a bar that reaches 0 has no end.
+            let ends = self.y.shows(point.y - point.sigma);
+            if point.sigma > 0.0 && point.sigma.is_finite() && ends {
+                let (low, high) = (self.py(point.y - point.sigma), self.py(point.y + point.sigma));
+                *out += &format!(
+                    "<path d=\"M{x:.2} {low:.2}V{high:.2}m-4 0h8M{:.2} {low:.2}h8\" stroke=\"{colour}\" fill=\"none\"/>",
+                    x - 4.0
+                );
             }
+            *out += &format!("<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"3.6\" fill=\"{colour}\"/>\n");
         }
     }
 

@@ -95,7 +95,7 @@ pub struct SprayField {
     pub cells: Vec<u32>,
     /// Gas of each occupied cell.
     pub gas: Vec<Gas>,
-    /// All parcels that are deposited.
+    /// All parcels that are deposited; of very many, one for each kind of droplets.
     pub parcels: Vec<Parcel>,
     /// Per occupied cell `i`, the range `deposit_start[i]..deposit_start[i + 1]` of the two lists below;
     /// one entry more than cells.

@@ -132,6 +132,19 @@ impl Sights {
         }
     }
 
+    /// Origin and direction, not of unit length, at the left end of an image row, and what both change by per column.
+    pub(super) fn row(&self, row: f64) -> [(Vector, Vector); 2] {
+        let y = 1.0 - 2.0 * row / self.rows;
+        let (left, step) = (self.right.map(|c| -c), self.right.map(|c| 2.0 * c / self.columns));
+        if self.parallel {
+            let origin = along(along(self.position, 1.0, left), y, self.upward);
+            [(origin, self.forward), (step, [0.0; 3])]
+        } else {
+            let direction = along(along(self.forward, 1.0, left), y, self.upward);
+            [(self.position, direction), ([0.0; 3], step)]
+        }
+    }
+
     /// Where a point appears, in rows and columns as in [`Sights::ray`]; none for points that are not clearly in front
     /// of a pinhole.
     #[inline]

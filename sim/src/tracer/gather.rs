@@ -9,17 +9,14 @@ use super::bricks::{Brick, EDGE, Segment};
 use super::cache::Leaves;
 use super::chamber::{Chamber, ENDS, SIDES};
 use super::fine::{CELLS, Fine};
+use super::pieces::Pieces;
 use super::plate::Plate;
 use super::reconstruct::{InLeaf, ROWS, Scattered};
 use super::spectrum::{Spectrum, narrow};
 use super::vector::{Vector, sub};
 
 /// Nothing can be seen through less than this, the smallest normal number of f32 with a margin.
-const OPAQUE: f32 = 1e-30;
-
-/// True errors over estimated ones: found by comparison with pixels traced one by one. Steps of the extinction between
-/// cells, seen along their faces, bend scattered light more than its differences between leaves tell.
-const MISSED: f32 = 1.2;
+pub(super) const OPAQUE: f32 = 1e-30;
 
 /// What sights run through.
 pub(super) struct Field<'a, S> {
@@ -32,15 +29,18 @@ pub(super) struct Field<'a, S> {
 
 /// In-scattered light by leaves.
 pub(super) struct Light<'a, S> {
-    pub(super) scattered: &'a Scattered<S>,
+    scattered: &'a Scattered<S>,
     /// Leaves and centres, in the order of the occupied bricks.
     cuts: Vec<Brick>,
+    /// The same for packets of a single group.
+    pub(super) pieces: Pieces,
 }
 
-impl<'a, S> Light<'a, S> {
-    pub(super) fn new(scattered: &'a Scattered<S>, leaves: &Leaves) -> Self {
+impl<'a, S: Spectrum> Light<'a, S> {
+    pub(super) fn new(fine: &Fine<S>, scattered: &'a Scattered<S>, leaves: &Leaves) -> Self {
         let cuts = leaves.occupied.iter().map(|&b| leaves.bricks.list[b]).collect();
-        Self { scattered, cuts }
+        let pieces = if S::WIDTH == 1 { Pieces::new(fine, scattered, leaves) } else { Pieces::none() };
+        Self { scattered, cuts, pieces }
     }
 }
 
@@ -48,10 +48,11 @@ impl<'a, S> Light<'a, S> {
 pub(super) struct Sight<S> {
     /// Share of the plate, in-scattering included.
     pub(super) plate: S,
-    /// Emission with in-scattering, per channel.
-    pub(super) emission: Vec<S>,
-    /// Emission along the straight sight, per channel.
-    pub(super) direct: Vec<S>,
+    /// Emission of channel 0 that is scattered into the sight, and that along the straight sight.
+    pub(super) medium: S,
+    pub(super) direct: S,
+    /// The same of the channels from 1 on: along the straight sight, and scattered into it.
+    pub(super) extra: Vec<[S; 2]>,
     /// Noise of plate and channel 0: Σ weight · noise of the cache.
     pub(super) noise: [S; ROWS],
     /// Error of the reconstruction of plate and channel 0: Σ weight · bias of the cache.
@@ -74,8 +75,9 @@ impl<S: Spectrum> Sight<S> {
     pub(super) fn new(channels: usize, apart: bool) -> Self {
         Self {
             plate: S::ZERO,
-            emission: vec![S::ZERO; channels],
-            direct: vec![S::ZERO; channels],
+            medium: S::ZERO,
+            direct: S::ZERO,
+            extra: vec![[S::ZERO; 2]; channels - 1],
             noise: [S::ZERO; ROWS],
             bias: [S::ZERO; ROWS],
             ends: vec![S::ZERO; if apart { ENDS } else { 0 }],
@@ -85,20 +87,6 @@ impl<S: Spectrum> Sight<S> {
             sights: 0,
             cells: 0,
         }
-    }
-
-    /// Back to nothing, the counts aside.
-    pub(super) fn clear(&mut self) {
-        self.plate = S::ZERO;
-        self.emission.iter_mut().chain(&mut self.direct).for_each(|row| *row = S::ZERO);
-        self.noise = [S::ZERO; ROWS];
-        self.bias = [S::ZERO; ROWS];
-        if !self.ends.is_empty() {
-            self.ends.fill(S::ZERO);
-            self.ends_errors = [[S::ZERO; SIDES]; 2];
-        }
-        self.met = false;
-        self.weight = 0.0;
     }
 
     /// Adds the sight from `origin` along `direction` with a weight; its errors only where they are wanted.
@@ -148,7 +136,8 @@ impl<S: Spectrum> Sight<S> {
             if extra > 0 {
                 let o = fine.slot[place] as usize;
                 for c in 0..extra {
-                    self.direct[1 + c] = self.direct[1 + c].plus_product(weight, fine.source[o * extra + c]);
+                    let to = &mut self.extra[c][0];
+                    *to = to.plus_product(weight, fine.source[o * extra + c]);
                 }
             }
             if let Some(light) = &field.light {
@@ -176,7 +165,7 @@ impl<S: Spectrum> Sight<S> {
         if let Some(light) = &field.light {
             self.lit::<ERRORS>(light, &run, origin_units, step);
         }
-        self.direct[0] = self.direct[0].plus(own);
+        self.direct = self.direct.plus(own);
         if hit.is_some() {
             self.plate = self.plate.plus(through);
         } else if let Some(chamber) = field.chamber {
@@ -190,8 +179,7 @@ impl<S: Spectrum> Sight<S> {
     }
 
     /// Adds what a run through one leaf scatters into the sight. In-scattered light is quadratic inside a leaf, so its
-    /// mean over the run follows from the run's moments. Of the channels from 1 on, emission holds only what is
-    /// scattered until the sights are complete.
+    /// mean over the run follows from the run's moments.
     #[inline(always)]
     fn lit<const ERRORS: bool>(&mut self, light: &Light<'_, S>, run: &Run<S>, origin: Vector, step: Vector) {
         if run.leaf == usize::MAX {
@@ -210,11 +198,10 @@ impl<S: Spectrum> Sight<S> {
         }
         let seen = run.seen(inside, offset, step);
         self.plate = self.plate.plus(seen[0]);
-        self.emission[0] = self.emission[0].plus(seen[1]);
-        let extra = self.emission.len() - 1;
-        for c in 0..extra {
-            let ratio = light.scattered.ratio[run.leaf * extra + c];
-            self.emission[1 + c] = self.emission[1 + c].plus_product(seen[1], ratio);
+        self.medium = self.medium.plus(seen[1]);
+        let extra = self.extra.len();
+        for (c, rows) in self.extra.iter_mut().enumerate() {
+            rows[1] = rows[1].plus_product(seen[1], light.scattered.ratio[run.leaf * extra + c]);
         }
         if ERRORS {
             for row in 0..ROWS {
@@ -242,14 +229,14 @@ impl<S: Spectrum> Sight<S> {
         if self.ends.is_empty() {
             return [0.0; 2];
         }
-        let scale = MISSED / self.weight.max(f32::MIN_POSITIVE);
+        let scale = 1.0 / self.weight.max(f32::MIN_POSITIVE);
         let square = |row: &S| row.times(*row).sum() / count(groups);
         self.ends_errors.map(|rows| rows.iter().map(square).fold(0.0, f32::max).sqrt() * scale)
     }
 
     /// Rms over the groups of noise and of the reconstruction's error, of plate and channel 0: `[noise, bias][row]`.
     pub(super) fn errors(&self, groups: usize) -> [[f32; ROWS]; 2] {
-        let scale = MISSED / self.weight.max(f32::MIN_POSITIVE);
+        let scale = 1.0 / self.weight.max(f32::MIN_POSITIVE);
         [self.noise, self.bias]
             .map(|rows| rows.map(|row| (row.times(row).sum() / count(groups)).sqrt() * scale))
     }

@@ -103,7 +103,7 @@ pub fn mean_rays(
         // Their noise averages out over all rays of a pixel.
         let target_error = options.target_error * f64::from(4 * next).sqrt();
         for pair in pairs..next {
-            for (half, name) in NAMES.iter().take(2).enumerate() {
+            for (half, name) in NAMES.iter().enumerate() {
                 for opposite in [false, true] {
                     // All pixels look at one moment, at which the plate is in one place.
                     let moment = time(options.seed, *name, pair, opposite);

@@ -9,6 +9,9 @@ use rayon::prelude::*;
 /// Marks an empty cell in [`GridMedium::index`].
 pub const EMPTY: u32 = u32::MAX;
 
+/// Values that are checked in one go.
+const CHECKED: usize = 4096;
+
 /// A box of equal cells, constant inside each cell; empty cells cost four bytes.
 ///
 /// All coefficients are in 1/m. Group `g` of `groups` is one wavelength sample; channel `c` of `channels` is one
@@ -74,7 +77,14 @@ impl GridMedium {
         shape("k_sca", self.k_sca.len(), self.k_ext.len())?;
         shape("emission", self.emission.len(), self.k_ext.len() * self.channels)?;
         shape("phase", self.phase.len(), self.groups)?;
-        if let Some(entry) = self.index.par_iter().position_first(|&i| i != EMPTY && i as usize >= occupied) {
+        // One more than the largest ordinal that is not [`EMPTY`], which wraps to zero.
+        let beyond = self
+            .index
+            .par_chunks(CHECKED)
+            .map(|chunk| chunk.iter().fold(0, |most: u32, &i| most.max(i.wrapping_add(1))))
+            .reduce(|| 0, u32::max);
+        if beyond as usize > occupied {
+            let entry = self.index.iter().position(|&i| i != EMPTY && i as usize >= occupied).unwrap_or(0);
             let value = f64::from(self.index[entry]);
             return Err(TracerError::Coefficient {
                 what: "index",
@@ -83,27 +93,28 @@ impl GridMedium {
                 condition: "an ordinal or EMPTY",
             });
         }
-        let positive = |what, values: &[f64]| match values
-            .par_iter()
-            .position_first(|v| !(v.is_finite() && *v >= 0.0))
-        {
-            Some(entry) => Err(TracerError::Coefficient {
-                what,
-                entry,
-                value: values[entry],
-                condition: "finite and not negative",
-            }),
-            None => Ok(()),
-        };
-        positive("k_ext", &self.k_ext)?;
-        positive("k_sca", &self.k_sca)?;
-        positive("emission", &self.emission)?;
+        for (what, values) in [("k_ext", &self.k_ext), ("k_sca", &self.k_sca), ("emission", &self.emission)] {
+            let good = |v: f64| (0.0..=f64::MAX).contains(&v);
+            if let Some(entry) = first_bad(values, values, |v, _| good(v)) {
+                let (value, condition) = (values[entry], "finite and not negative");
+                return Err(TracerError::Coefficient { what, entry, value, condition });
+            }
+        }
         // A sum of two roundings may exceed the extinction by a few units in the last place.
-        let above = |(&s, &e): (&f64, &f64)| s > e * (1.0 + 1e-12);
-        if let Some(entry) = self.k_sca.par_iter().zip(&self.k_ext).position_first(above) {
+        if let Some(entry) = first_bad(&self.k_sca, &self.k_ext, |s, e| s <= e * (1.0 + 1e-12)) {
             let value = self.k_sca[entry];
             return Err(TracerError::Coefficient { what: "k_sca", entry, value, condition: "at most k_ext" });
         }
         Ok(())
     }
+}
+
+/// Place of the first pair of values that is not good. Whole chunks are looked through without branches.
+fn first_bad(a: &[f64], b: &[f64], good: impl Fn(f64, f64) -> bool + Sync) -> Option<usize> {
+    let chunk = a
+        .par_chunks(CHECKED)
+        .zip(b.par_chunks(CHECKED))
+        .position_first(|(a, b)| !a.iter().zip(b).fold(true, |all, (&a, &b)| all & good(a, b)))?;
+    let start = chunk * CHECKED;
+    a[start..].iter().zip(&b[start..]).position(|(&a, &b)| !good(a, b)).map(|i| start + i)
 }

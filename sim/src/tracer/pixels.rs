@@ -3,19 +3,28 @@
 use super::bricks::{Bricks, EDGE};
 use super::camera::{Camera, PixelFilter, Sights};
 use super::plate::Plate;
-use super::spectrum::narrow;
+use super::spectrum::{narrow, vectorised};
 use super::vector::Vector;
 use rayon::prelude::*;
 
 /// Sub-sights per axis in pixels that the plate's edge crosses.
 const EDGE_SIGHTS: usize = 8;
 
+/// Fewest where what is behind changes across the pixel.
+const EDGE_SIGHTS_MIN: usize = 4;
+
+/// Steps by √½ in the search for the error at which pixels are refined.
+const HALVINGS_MAX: usize = 48;
+
 /// Most sub-sights per axis in any other pixel.
 pub(super) const SIGHTS_MAX: usize = 8;
 
-/// The error of a single sight for the mean over a pixel, over the largest second difference to its neighbours: for
-/// steps and kinks at random places.
-const CENTRE_ERROR: f32 = 0.2;
+/// The error of a single sight for the mean over a pixel, over the largest second difference to its neighbours: that of a
+/// kink in its middle.
+const CENTRE_ERROR: f32 = 1.0 / 8.0;
+
+/// About so many pixels are looked at in the search for the error at which pixels are refined.
+const SEARCHED: usize = 8192;
 
 /// The camera with its plate.
 pub(super) struct Frame<'a> {
@@ -75,11 +84,16 @@ impl Frame<'_> {
                 .map(|i| f32::from(u8::from(self.sees(real(i / columns) + 0.5, real(i % columns) + 0.5))))
                 .collect();
         }
-        let corners: Vec<bool> = (0..(rows + 1) * (columns + 1))
-            .into_par_iter()
-            .with_min_len(1024)
-            .map(|i| self.sees(real(i / (columns + 1)), real(i % (columns + 1))))
-            .collect();
+        let mut corners = vec![false; (rows + 1) * (columns + 1)];
+        corners.par_chunks_mut(columns + 1).enumerate().for_each(|(row, corners)| {
+            let [first, step] = self.sights.row(real(row));
+            if let Some(plate) = self.plate {
+                vectorised(
+                    #[inline(always)]
+                    || plate.covers(first, step, corners),
+                );
+            }
+        });
         // A plate smaller than a pixel may miss all corners, but not its own centre.
         let centre = self.plate.and_then(Plate::centre).and_then(|c| self.sights.project(c));
         let around = |pixel: usize| {
@@ -119,12 +133,13 @@ impl Frame<'_> {
         dot(apart, apart).sqrt() / smallest
     }
 
-    /// Largest second difference of two images at a pixel, across it in four directions, for each image.
-    fn second_difference(&self, images: &[[f32; 2]], pixel: usize) -> [f32; 2] {
+    /// Largest second difference of two images at a pixel over `reach` pixels, across it in four directions.
+    fn second_difference(&self, images: &[[f32; 2]], pixel: usize, reach: usize) -> [f32; 2] {
         let (rows, columns) = (self.camera.rows, self.camera.columns);
         let (row, column) = (pixel / columns, pixel % columns);
         let mut most = [0.0_f32; 2];
-        let (inner_row, inner_column) = (row > 0 && row + 1 < rows, column > 0 && column + 1 < columns);
+        let inner = |i: usize, n: usize| i >= reach && i + reach < n;
+        let (inner_row, inner_column) = (inner(row, rows), inner(column, columns));
         let pairs = [
             (inner_column, 1),
             (inner_row, columns),
@@ -133,37 +148,117 @@ impl Frame<'_> {
         ];
         for (inside, step) in pairs {
             if inside {
+                let (before, behind) = (images[pixel - reach * step], images[pixel + reach * step]);
                 for k in 0..2 {
-                    let twice = images[pixel - step][k] + images[pixel + step][k] - 2.0 * images[pixel][k];
-                    most[k] = most[k].max(twice.abs());
+                    most[k] = most[k].max((before[k] + behind[k] - 2.0 * images[pixel][k]).abs());
                 }
             }
         }
         most
     }
 
-    /// Sub-sights per axis that a pixel needs for its mean to keep `tolerance`, and the errors left then of two images.
-    pub(super) fn refinement(
+    /// Sights per axis for each of the pixels so that the rms of the errors of their means is below `budget` with the
+    /// fewest sights, and the errors left then of two images. `interpolated` are the errors of pixels that have no sight
+    /// yet; nothing where all have one. `settled` is an earlier answer: what it left out stays left out.
+    ///
+    /// n² sights leave an error of e/n^(3/2): the sum of the former is least for a given sum of squares of the latter when
+    /// n is proportional to e^(2/5); n = 0 where leaving it out costs less than that.
+    pub(super) fn refinements(
         &self,
         images: &[[f32; 2]],
-        pixel: usize,
-        plate_seen: f32,
-        tolerance: f32,
-    ) -> (usize, [f32; 2]) {
-        if self.camera.pixel_filter == PixelFilter::Centre {
-            return (1, [0.0; 2]);
+        pixels: &[u32],
+        plate_seen: &[f32],
+        interpolated: &[Option<[f32; 2]>],
+        settled: &[Refinement],
+        budget: f32,
+    ) -> Vec<Refinement> {
+        let centre = self.camera.pixel_filter == PixelFilter::Centre;
+        // Between samples the image is known two pixels apart: a kink bends it by about twice as much there.
+        let (reach, scale) =
+            if interpolated.is_empty() { (1, CENTRE_ERROR) } else { (2, 0.5 * CENTRE_ERROR) };
+        let known: Vec<Known> = pixels
+            .par_iter()
+            .enumerate()
+            .with_min_len(1024)
+            .map(|(i, &p)| {
+                let seen = plate_seen[p as usize];
+                let bent = |p: u32| self.second_difference(images, p as usize, reach).map(|s| scale * s);
+                Known {
+                    single: if centre { [0.0; 2] } else { bent(p) },
+                    interpolated: interpolated.get(i).copied().flatten(),
+                    on_edge: !centre && seen > 0.0 && seen < 1.0,
+                    settled: settled.get(i).copied().filter(|s| s.n == 0),
+                }
+            })
+            .collect();
+        // The error of a pixel that one sight is just good enough for, found by halving with a part of the pixels.
+        let part = || {
+            known.iter().step_by(if known.len() > 4 * SEARCHED { (known.len() / SEARCHED) | 1 } else { 1 })
+        };
+        let rms = |unit: f32| -> f32 {
+            let mut sums = [0.0_f64; 2];
+            for pixel in part() {
+                let error = pixel.refinement(unit).error;
+                sums = [0, 1].map(|k: usize| sums[k] + f64::from(error[k]).powi(2));
+            }
+            narrow((sums[0].max(sums[1]) / real(part().count().max(1))).sqrt())
+        };
+        let most = |e: [f32; 2]| e[0].max(e[1]);
+        let mut unit =
+            part().fold(0.0_f32, |all, p| all.max(most(p.single)).max(p.interpolated.map_or(0.0, most)));
+        for _ in 0..HALVINGS_MAX {
+            if rms(unit) <= budget {
+                break;
+            }
+            unit *= 0.5_f32.sqrt();
         }
-        let error = self.second_difference(images, pixel).map(|s| CENTRE_ERROR * s);
-        let worst = error[0].max(error[1]);
-        let mut n = 1;
-        while n < SIGHTS_MAX && worst > tolerance * power(n) {
-            n += 1;
-        }
-        if plate_seen > 0.0 && plate_seen < 1.0 {
-            n = n.max(4);
-        }
-        (n, error.map(|e| e / power(n)))
+        known.par_iter().with_min_len(1024).map(|pixel| pixel.refinement(unit)).collect()
     }
+}
+
+/// What is known of a pixel before it is refined.
+struct Known {
+    /// Errors of two images after one sight.
+    single: [f32; 2],
+    /// Their errors without any, where it has none.
+    interpolated: Option<[f32; 2]>,
+    /// Whether what is behind changes across it.
+    on_edge: bool,
+    /// Whether it stays without.
+    settled: Option<Refinement>,
+}
+
+impl Known {
+    /// The sights for the least n² + (error/unit)²/1.5: `unit` is what one sight is worth.
+    fn refinement(&self, unit: f32) -> Refinement {
+        if let Some(settled) = self.settled {
+            return settled;
+        }
+        let error = self.single[0].max(self.single[1]);
+        let mut n = 1;
+        if error > unit {
+            let wanted = (error / unit).powf(0.4);
+            n = (1..SIGHTS_MAX).find(|&n| wanted <= narrow(real(n)) + 0.5).unwrap_or(SIGHTS_MAX);
+        }
+        if self.on_edge {
+            n = n.max(EDGE_SIGHTS_MIN);
+        } else if let Some(interpolated) = self.interpolated {
+            let (without, with) = (interpolated[0].max(interpolated[1]), error / power(n));
+            if without * without <= with * with + 1.5 * unit * unit * narrow(real(n * n)) {
+                return Refinement { n: 0, error: interpolated };
+            }
+        }
+        Refinement { n, error: self.single.map(|e| e / power(n)) }
+    }
+}
+
+/// How finely one pixel is sampled.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Refinement {
+    /// Sights per axis; none where it is interpolated.
+    pub(super) n: usize,
+    /// Errors left of the means of two images.
+    pub(super) error: [f32; 2],
 }
 
 /// Stratified sights average edges at the rate n^(3/2) of their number per axis.

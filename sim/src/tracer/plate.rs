@@ -157,6 +157,36 @@ impl Plate {
         along(along(self.centre, a, self.across), b, self.upward)
     }
 
+    /// Which of the rays `first` + i · `step` meet the plate (origins and directions of any length). The same as
+    /// [`Plate::hit`] but for rounding at the very edge, and without a division.
+    #[inline(always)]
+    pub(super) fn covers(&self, first: (Vector, Vector), step: (Vector, Vector), meets: &mut [bool]) {
+        let from = sub(first.0, self.centre);
+        // Along the plate's axes everything is linear in i.
+        let axis = |a: Vector| [dot(from, a), dot(step.0, a), dot(first.1, a), dot(step.1, a)];
+        let [h, a, b] = [axis(self.facing), axis(self.across), axis(self.upward)];
+        let at = |v: [f64; 4], i: f64| (v[1].mul_add(i, v[0]), v[3].mul_add(i, v[2]));
+        for (i, meets) in meets.iter_mut().enumerate() {
+            #[expect(clippy::cast_precision_loss, reason = "images are smaller than 2^53")]
+            let i = i as f64;
+            let ((height, towards), (a, da), (b, db)) = (at(h, i), at(a, i), at(b, i));
+            let towards = -towards;
+            let front = (towards > 0.0) & (height >= 0.0);
+            // The place on the plate times `towards`.
+            let (a, b) = (a * towards + height * da, b * towards + height * db);
+            *meets = match self.form {
+                Form::Rectangle { half_width, half_height } => {
+                    front & (a.abs() <= half_width * towards) & (b.abs() <= half_height * towards)
+                }
+                Form::Disc { radius } => front & (a * a + b * b <= (radius * towards).powi(2)),
+                Form::Cone { cos_limit, .. } => {
+                    let square = towards * towards + da * da + db * db;
+                    (towards > 0.0) & (towards * towards >= cos_limit * cos_limit * square)
+                }
+            };
+        }
+    }
+
     /// Where the ray meets its plane from the front, in half widths (or radii) to the right and half heights up, as seen
     /// from the front; none for a cone, and for rays that do not meet it so.
     pub(super) fn place(&self, origin: Vector, direction: Vector) -> Option<[f64; 2]> {

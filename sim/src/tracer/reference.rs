@@ -229,8 +229,9 @@ fn one<S: Spectrum>(
     for c in 0..channels {
         values.extend((0..groups).map(|g| narrow(total(MEDIUM + c, g))));
     }
-    for c in 0..channels {
-        values.extend((0..groups).map(|g| sight.direct[c].get(g) / sight.weight));
+    values.extend((0..groups).map(|g| sight.direct.get(g) / sight.weight));
+    for [direct, _] in &sight.extra {
+        values.extend((0..groups).map(|g| direct.get(g) / sight.weight));
     }
     if world.chamber.is_some() {
         let mut shares: Vec<f32> = (world.first_end()..rows_count)

@@ -6,16 +6,19 @@
 //! scrambles of their own: half their difference is the error of the mean, pooled over neighbouring pixels, and pixels
 //! above the target get twice as many.
 
-use super::bricks::Bricks;
 use super::camera::PixelFilter;
+use super::chamber::ENDS;
+use super::ends;
+use super::errormap::with_errors;
+use super::exposure::{PIXEL_SHARE, Summary, finish};
 use super::fine::Fine;
 use super::gather::{Field, Light, Sight};
-use super::image::{Job, Lit, PIXEL_SHARE, Stats, Summary, finish, tell, with_errors};
+use super::image::{Job, Stats, tell};
 use super::lens::disc;
 use super::operator::Operator;
-use super::pixels::Frame;
-use super::plate::Plate;
+use super::pixels::{Frame, Refinement};
 use super::reconstruct::ROWS;
+use super::sampling::Lit;
 use super::sobol::{self, Coordinates, Sequence};
 use super::spectrum::{Spectrum, narrow, vectorised};
 use super::vector::Vector;
@@ -25,6 +28,9 @@ use rayon::prelude::*;
 const PAIRS_MIN: u32 = 2;
 const PAIRS_MAX: u32 = 256;
 
+/// Pairs of pixels that an edge between walls crosses.
+const EDGE_PAIRS: u32 = 16;
+
 /// Pixels to either side over which differences are pooled, and again from where a pixel above the target keeps others
 /// open: an edge far out of focus touches so few sub-sights at its rim that a pixel alone would not find it.
 const REACH: usize = 2;
@@ -32,19 +38,11 @@ const REACH: usize = 2;
 /// Pixels of one parallel task.
 const TASK_PIXELS: usize = 16;
 
-/// Chords of the aperture on which the border of the plate's image is sought, places tried on each, and halvings between.
-const CHORDS: u32 = 64;
-const CHORD_PLACES: usize = 8;
-const HALVINGS: usize = 8;
-
 /// Along which neighbours are pooled: rows and columns.
 const DIRECTIONS: [[isize; 2]; 4] = [[0, 1], [1, 0], [1, 1], [1, -1]];
 
-/// Corners of the polygon around the aperture.
-const CORNERS: usize = 8;
-
-/// Names the sequences of sub-sights and of chords.
-pub(super) const NAMES: [u32; 3] = [0x51_6e_75_01, 0x51_6e_75_02, 0x51_6e_75_03];
+/// Names the sequences of the halves of the sub-sights.
+pub(super) const NAMES: [u32; 2] = [0x51_6e_75_01, 0x51_6e_75_02];
 
 /// One sight of a pixel: its ray, and how far the medium has moved at its moment.
 #[derive(Debug, Clone, Copy)]
@@ -71,124 +69,6 @@ impl Frame<'_> {
         let ray = self.sights.ray_through(real(row) + r, real(column) + c, disc(at[2], at[3]));
         SubSight { ray, moved: self.motion.map(|m| (at[4] - 0.5) * m) }
     }
-
-    /// The extreme views of a point, how many there are: one, or those from around the aperture at both ends of the exposure.
-    pub(super) fn views(&self) -> usize {
-        if self.spreads() { 2 * CORNERS } else { 1 }
-    }
-
-    /// Where a point of the medium appears in one of them. All sights lie between the extreme ones: what is in the
-    /// middle of a convex set appears inside of the convex hull.
-    pub(super) fn view(&self, number: usize, point: Vector) -> Option<(f64, f64)> {
-        if !self.spreads() {
-            return self.sights.project(point);
-        }
-        let end = if number < CORNERS { 0.5 } else { -0.5 };
-        let point = [0, 1, 2].map(|a| point[a] + end * self.motion[a]);
-        self.sights.project_through(point, corner(number % CORNERS))
-    }
-
-    /// Sights beside the image that meet what its blur brings in, `stride` pixels apart.
-    pub(super) fn beside(&self, bricks: &Bricks, stride: usize) -> Vec<(f64, f64)> {
-        let (rows, columns) = (self.camera.rows, self.camera.columns);
-        let mut reach = 0.0_f64;
-        for number in 0..8 * self.views() {
-            let point = bricks
-                .point([0, 1, 2].map(|a| if number >> a & 1 == 0 { 0.0 } else { real(bricks.cells[a]) }));
-            if let (Some(a), Some(b)) = (self.view(number / 8, point), self.sights.project(point)) {
-                reach = reach.max((a.0 - b.0).abs()).max((a.1 - b.1).abs());
-            }
-        }
-        // As far as the image is large, where something is almost at the lens.
-        let reach = reach.min(real(rows.max(columns)));
-        let steps = (0..).map(|i| -reach + real(i * stride));
-        let mut places = Vec::new();
-        for row in steps.clone().take_while(|r| *r < real(rows) + reach) {
-            for column in steps.clone().take_while(|c| *c < real(columns) + reach) {
-                let inside = |v: f64, n: usize| (0.0..=real(n)).contains(&v);
-                if !(inside(row, rows) && inside(column, columns)) {
-                    places.push((row, column));
-                }
-            }
-        }
-        places
-    }
-
-    /// Share of each pixel's sights that see the plate through the lens.
-    pub(super) fn plate_seen_through(&self, plate: &Plate) -> Vec<f32> {
-        let columns = self.camera.columns;
-        let chords = Sequence::new(NAMES[2]);
-        (0..self.camera.rows * columns)
-            .into_par_iter()
-            .with_min_len(256)
-            .map(|pixel| {
-                let (row, column) = (pixel / columns, pixel % columns);
-                self.seen_wholly(plate, row, column)
-                    .unwrap_or_else(|| self.seen_partly(plate, row, column, &chords))
-            })
-            .collect()
-    }
-
-    /// 1 or 0 where all sights or none of a pixel see the plate, if that is plain.
-    fn seen_wholly(&self, plate: &Plate, row: usize, column: usize) -> Option<f32> {
-        let (mut hits, mut low, mut high) = (0, [f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        let mut known = true;
-        for number in 0..4 * CORNERS {
-            let (r, c) = (real(row + (number & 1)), real(column + (number >> 1 & 1)));
-            let (origin, direction) = self.sights.ray_through(r, c, corner(number / 4));
-            hits += usize::from(plate.hit(origin, direction).is_some());
-            match plate.place(origin, direction) {
-                Some(place) => {
-                    low = [0, 1].map(|k| low[k].min(place[k]));
-                    high = [0, 1].map(|k| high[k].max(place[k]));
-                }
-                None => known = false,
-            }
-        }
-        // The plate is convex, and so is what the sights meet of its plane.
-        let beside = known && (0..2).any(|k| low[k] > 1.0 || high[k] < -1.0);
-        if hits == 4 * CORNERS { Some(1.0) } else { beside.then_some(0.0) }
-    }
-
-    /// Mean over chords across the aperture of the part of each that sees the plate: one piece of it, the plate being
-    /// convex.
-    fn seen_partly(&self, plate: &Plate, row: usize, column: usize, chords: &Sequence) -> f32 {
-        let centre = self.camera.pixel_filter == PixelFilter::Centre;
-        let (mut seen, mut all) = (0.0, 0.0);
-        let mut run = chords.from(0);
-        for _ in 0..CHORDS {
-            let at = run.next();
-            let [r, c] = if centre { [0.5; 2] } else { [at.get(0), at.get(1)] };
-            let height = 2.0 * at.get(2) - 1.0;
-            let half = (1.0 - height * height).sqrt();
-            let sees = |x: f64| {
-                let (origin, direction) =
-                    self.sights.ray_through(real(row) + r, real(column) + c, [x * half, height]);
-                plate.hit(origin, direction).is_some()
-            };
-            let places: [f64; CHORD_PLACES + 1] =
-                std::array::from_fn(|i| 2.0 * real(i) / real(CHORD_PLACES) - 1.0);
-            let on = places.map(sees);
-            let mut part = 0.0;
-            for i in 0..CHORD_PLACES {
-                let (mut from, mut to) = (places[i], places[i + 1]);
-                part += if on[i] == on[i + 1] {
-                    if on[i] { to - from } else { 0.0 }
-                } else {
-                    let (begin, end) = (from, to);
-                    for _ in 0..HALVINGS {
-                        let middle = 0.5 * (from + to);
-                        if sees(middle) == on[i] { from = middle } else { to = middle }
-                    }
-                    let border = 0.5 * (from + to);
-                    if on[i] { border - begin } else { end - border }
-                };
-            }
-            seen += half * part;
-            all += 2.0 * half;
-        }
-        narrow(seen / all)
-    }
 }
 
 /// What has been collected of a pixel: plate and medium of the halves, means over the groups.
@@ -214,7 +94,7 @@ impl Job<'_> {
             fine,
             plate: self.frame.plate,
             chamber,
-            light: lit.map(|lit| Light::new(&lit.scattered, &lit.leaves)),
+            light: lit.map(|lit| Light::new(fine, &lit.scattered, &lit.leaves)),
         };
         let width = self.width(fine.groups, fine.channels);
         let mut values = vec![0.0_f32; candidates.len() * width];
@@ -248,10 +128,20 @@ impl Job<'_> {
             }
             pairs = next;
             let squares: Vec<[f32; ROWS]> = halves.iter().map(Halves::square).collect();
+            let before = std::mem::take(&mut open);
+            open.clone_from(&before);
             pool([rows, columns], candidates, &squares, &mut open, &mut errors, tolerance);
+            if chamber.is_some() && pairs < EDGE_PAIRS {
+                // Edges between walls show in none of the errors.
+                let seen = |i: usize| &ends_seen[candidates[i] as usize * ENDS..][..ENDS];
+                open = before
+                    .into_iter()
+                    .filter(|&i| open.binary_search(&i).is_ok() || ends::mixed(seen(i)))
+                    .collect();
+            }
         }
         let summaries: Vec<Summary> = halves.iter().map(|h| h.summary).collect();
-        let refined: Vec<(usize, [f32; ROWS])> = errors.iter().map(|&e| (1, e)).collect();
+        let refined: Vec<Refinement> = errors.iter().map(|&error| Refinement { n: 1, error }).collect();
         let first = 4 * PAIRS_MIN;
         tell(stats, "sights", summaries.iter().map(|s| f64::from(s.sights)).sum());
         tell(stats, "cells_visited", summaries.iter().map(|s| f64::from(s.cells)).sum());
@@ -262,9 +152,13 @@ impl Job<'_> {
         };
         tell(stats, "error_pixel", rms(0).max(rms(1)));
         let active: Vec<usize> = (0..candidates.len()).filter(|&i| summaries[i].met).collect();
-        let mut operator = self.assemble(fine, plate_seen, candidates, &values, &active);
-        operator.ends_seen = ends_seen;
-        self.errors(operator, &summaries, &refined, &active, stats)
+        let operator = self.assemble(fine, plate_seen, candidates, &values, &active);
+        let mut operator = self.error_map(operator, &summaries, &refined, &active, stats);
+        if chamber.is_some() {
+            operator.ends_seen = ends_seen;
+            operator.error_ends = self.ends_error_map(&operator, &summaries, &refined, &active);
+        }
+        operator
     }
 
     /// Some pairs of sub-sights of some pixels: coefficients into `values`, the means of both halves.
@@ -278,7 +172,6 @@ impl Job<'_> {
         let (groups, channels) = (field.fine.groups, field.fine.channels);
         let columns = self.frame.camera.columns;
         let width = self.width(groups, channels);
-        let mut sight = Sight::<S>::new(channels, field.chamber.is_some());
         let mut parts = [vec![0.0_f32; width], vec![0.0_f32; width]];
         let mut out = Vec::with_capacity(pixels.len());
         vectorised(
@@ -289,8 +182,7 @@ impl Job<'_> {
                     let mut found = [Summary::default(); 2];
                     // One call of the sight for both halves and both of a pair: it is a long piece of code.
                     for half in 0..2 {
-                        sight.clear();
-                        (sight.sights, sight.cells) = (0, 0);
+                        let mut sight = Sight::<S>::new(channels, field.chamber.is_some());
                         let sequence = Sequence::new(sobol::sequence(self.options.seed, pixel, NAMES[half]));
                         let mut run = sequence.from(pairs.start);
                         let mut at = run.next();
@@ -370,8 +262,13 @@ impl Halves {
     fn of([a, b]: [Summary; 2]) -> Self {
         let summary = Summary {
             shown: [0, 1].map(|k: usize| 0.5 * (a.shown[k] + b.shown[k])),
-            error: [0, 1].map(|k: usize| (0.5 * (a.error[k].powi(2) + b.error[k].powi(2))).sqrt()),
-            error_ends: (0.5 * (a.error_ends.powi(2) + b.error_ends.powi(2))).sqrt(),
+            errors: [0, 1].map(|kind: usize| {
+                let mean = |k: usize| 0.5 * (a.errors[kind][k].powi(2) + b.errors[kind][k].powi(2));
+                [0, 1].map(|k: usize| mean(k).sqrt())
+            }),
+            errors_ends: [0, 1].map(|kind: usize| {
+                (0.5 * (a.errors_ends[kind].powi(2) + b.errors_ends[kind].powi(2))).sqrt()
+            }),
             met: a.met || b.met,
             sights: a.sights + b.sights,
             cells: a.cells.saturating_add(b.cells),
@@ -392,7 +289,9 @@ impl Halves {
                 mix(&mut self.shown[half][k], more.shown[half][k]);
             }
             mix(&mut self.summary.shown[k], more.summary.shown[k]);
-            mix(&mut self.summary.error[k], more.summary.error[k]);
+            for kind in 0..2 {
+                mix(&mut self.summary.errors[kind][k], more.summary.errors[kind][k]);
+            }
         }
         self.summary.met |= more.summary.met;
         self.summary.sights += more.summary.sights;
@@ -405,13 +304,6 @@ impl Halves {
 pub(super) fn place(at: &Coordinates, opposite: bool) -> [f64; 5] {
     let turn = |u: f64| if opposite { 1.0 - u } else { u };
     [0, 1, 2, 3, 4].map(|d: usize| turn(at.get(d)))
-}
-
-/// A corner of the polygon around the unit disc.
-fn corner(number: usize) -> [f64; 2] {
-    let step = std::f64::consts::PI / real(CORNERS);
-    let (sine, cosine) = (2.0 * step * real(number)).sin_cos();
-    [cosine / step.cos(), sine / step.cos()]
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]

@@ -266,38 +266,35 @@ impl View<'_> {
             .par_iter()
             .enumerate()
             .with_min_len(16)
-            .map_init(
-                || Sight::<S>::new(fine.channels, false),
-                |sight, (i, &pixel)| {
-                    let subs = self.sights(pixel as usize, operator.plate_seen[pixel as usize]);
-                    let mut sums = vec![[0.0_f64; 3]; groups];
-                    vectorised(
-                        #[inline(always)]
-                        || {
-                            for sub in &subs {
-                                let Some(d) = self.plate.seen(sub.ray.0, sub.ray.1) else { continue };
-                                sight.clear();
-                                sight.add_moved::<false>(&field, sub.ray, sub.moved, 1.0);
-                                for (g, sum) in sums.iter_mut().enumerate() {
-                                    let through = f64::from(sight.plate.get(g)) / real(subs.len());
-                                    *sum = [sum[0] + through, sum[1] + through * d, sum[2] + through * d * d];
-                                }
+            .map(|(i, &pixel)| {
+                let subs = self.sights(pixel as usize, operator.plate_seen[pixel as usize]);
+                let mut sums = vec![[0.0_f64; 3]; groups];
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        for sub in &subs {
+                            let Some(d) = self.plate.seen(sub.ray.0, sub.ray.1) else { continue };
+                            let mut sight = Sight::<S>::new(fine.channels, false);
+                            sight.add_moved::<false>(&field, sub.ray, sub.moved, 1.0);
+                            for (g, sum) in sums.iter_mut().enumerate() {
+                                let through = f64::from(sight.plate.get(g)) / real(subs.len());
+                                *sum = [sum[0] + through, sum[1] + through * d, sum[2] + through * d * d];
                             }
-                        },
-                    );
-                    let mut square = 0.0;
-                    let out = sums
-                        .iter()
-                        .enumerate()
-                        .map(|(g, &[straight, first, second])| {
-                            let all = f64::from(operator.a_plate[i * groups + g]);
-                            square += (all - straight).max(0.0).powi(2);
-                            self.plate.weighed(all, straight, [first, second]).map(narrow)
-                        })
-                        .collect();
-                    (out, square)
-                },
-            )
+                        }
+                    },
+                );
+                let mut square = 0.0;
+                let out = sums
+                    .iter()
+                    .enumerate()
+                    .map(|(g, &[straight, first, second])| {
+                        let all = f64::from(operator.a_plate[i * groups + g]);
+                        square += (all - straight).max(0.0).powi(2);
+                        self.plate.weighed(all, straight, [first, second]).map(narrow)
+                    })
+                    .collect();
+                (out, square)
+            })
             .collect();
         let square: f64 = pixels.iter().map(|p| p.1).sum();
         let error_k = self.plate.spread_k() * (square / real((pixels.len() * groups).max(1))).sqrt();

@@ -4,6 +4,7 @@ use super::bricks::Segment;
 use super::cache::{Leaves, owners};
 use super::camera::Sights;
 use super::fine::{CELLS, Fine};
+use super::packet::{LANES, Packet};
 use super::plate::Plate;
 use super::reconstruct::neighbours;
 use super::spectrum::{Spectrum, narrow, vectorised};
@@ -30,40 +31,11 @@ pub(super) fn demand<S: Spectrum>(
     probes: &[(f64, f64)],
 ) {
     let sums: Vec<AtomicU64> = (0..leaves.demand.len()).map(|_| AtomicU64::new(0)).collect();
-    let cuts: Vec<_> = leaves.occupied.iter().map(|&b| leaves.bricks.list[b]).collect();
-    let per_group = 1.0 / narrow(real(fine.groups));
-    probes.par_chunks(64).for_each(|probes| {
-        vectorised(
-            #[inline(always)]
-            || {
-                for &(row, column) in probes {
-                    let (origin, direction): (Vector, Vector) = sights.ray(row, column);
-                    let far = plate.and_then(|p| p.hit(origin, direction)).unwrap_or(f64::INFINITY);
-                    let mut through = S::splat(1.0);
-                    let (mut leaf, mut sum) = (usize::MAX, 0.0_f32);
-                    let mut march = fine.bricks.march(origin, direction, far);
-                    while let Some(Segment { place, block: [x, y, z], start, end }) = march.next() {
-                        let [k, albedo] = fine.core[place];
-                        if k.largest() <= 0.0 {
-                            continue;
-                        }
-                        let here = cuts[place / CELLS].place(x, y, z);
-                        if here != leaf {
-                            add(&sums, leaf, sum);
-                            (leaf, sum) = (here, 0.0);
-                        }
-                        let (passed, stopped) = k.split(narrow(end - start));
-                        sum += through.times(stopped).times(albedo).sum() * per_group;
-                        through = through.times(passed);
-                        if through.largest() <= OPAQUE {
-                            break;
-                        }
-                    }
-                    add(&sums, leaf, sum);
-                }
-            },
-        );
-    });
+    if S::WIDTH == 1 {
+        packets(fine, leaves, sights, plate, probes, &sums);
+    } else {
+        one_by_one(fine, leaves, sights, plate, probes, &sums);
+    }
     leaves.demand = sums
         .iter()
         .map(|sum| {
@@ -90,6 +62,94 @@ pub(super) fn demand<S: Spectrum>(
     for leaf in seen {
         leaves.demand[leaf] += floor;
     }
+}
+
+/// Adds the squared weights of what the leaves scatter into the probes.
+fn one_by_one<S: Spectrum>(
+    fine: &Fine<S>,
+    leaves: &Leaves,
+    sights: &Sights,
+    plate: Option<&Plate>,
+    probes: &[(f64, f64)],
+    sums: &[AtomicU64],
+) {
+    let cuts: Vec<_> = leaves.occupied.iter().map(|&b| leaves.bricks.list[b]).collect();
+    let per_group = 1.0 / narrow(real(fine.groups));
+    probes.par_chunks(64).for_each(|probes| {
+        vectorised(
+            #[inline(always)]
+            || {
+                for &(row, column) in probes {
+                    let (origin, direction): (Vector, Vector) = sights.ray(row, column);
+                    let far = plate.and_then(|p| p.hit(origin, direction)).unwrap_or(f64::INFINITY);
+                    let mut through = S::splat(1.0);
+                    let (mut leaf, mut sum) = (usize::MAX, 0.0_f32);
+                    let mut march = fine.bricks.march(origin, direction, far);
+                    while let Some(Segment { place, block: [x, y, z], start, end }) = march.next() {
+                        let [k, albedo] = fine.core[place];
+                        if k.largest() <= 0.0 {
+                            continue;
+                        }
+                        let here = cuts[place / CELLS].place(x, y, z);
+                        if here != leaf {
+                            add(sums, leaf, sum);
+                            (leaf, sum) = (here, 0.0);
+                        }
+                        let (passed, stopped) = k.split(narrow(end - start));
+                        sum += through.times(stopped).times(albedo).sum() * per_group;
+                        through = through.times(passed);
+                        if through.largest() <= OPAQUE {
+                            break;
+                        }
+                    }
+                    add(sums, leaf, sum);
+                }
+            },
+        );
+    });
+}
+
+/// The same for one group, many probes at once.
+fn packets<S: Spectrum>(
+    fine: &Fine<S>,
+    leaves: &Leaves,
+    sights: &Sights,
+    plate: Option<&Plate>,
+    probes: &[(f64, f64)],
+    sums: &[AtomicU64],
+) {
+    probes.par_chunks(16 * LANES).for_each(|probes| {
+        let mut packet = Packet::new(fine.channels);
+        vectorised(
+            #[inline(always)]
+            || {
+                for probes in probes.chunks(LANES) {
+                    let mut last = [(usize::MAX, 0.0_f32); LANES];
+                    for &(row, column) in probes {
+                        packet.push(fine, plate, sights.ray(row, column), 1.0, false);
+                    }
+                    packet.visit(
+                        fine,
+                        &leaves.bricks.list,
+                        #[inline(always)]
+                        |lane, leaf, turned| {
+                            let (before, sum) = last[lane];
+                            if leaf == before {
+                                last[lane].1 += turned;
+                            } else {
+                                add(sums, before, sum);
+                                last[lane] = (leaf, turned);
+                            }
+                        },
+                    );
+                    for (leaf, sum) in last {
+                        add(sums, leaf, sum);
+                    }
+                    packet.clear();
+                }
+            },
+        );
+    });
 }
 
 #[inline(always)]

@@ -39,17 +39,33 @@ fn spline(x: f64) -> f64 {
     }
 }
 
+/// Neighbours looked at for one width of all parcels together, about 1 s of one core: of a denser cloud every second, third …
+/// is. Clouds of 20 000 parcels are never that dense.
+const LOOKS_MAX: usize = 1 << 29;
+
+/// Neighbours looked at for one parcel at least, if there are so many.
+const LOOKS_MIN: usize = 256;
+
+/// Parcels for which bins have the edge of the narrowest kernel; for more or fewer their volume goes with one over the number,
+/// between these edges.
+const PARCELS_PER_EDGE: f64 = 131_072.0;
+const EDGES: [f64; 2] = [0.5, 1.5];
+
 /// Finds kernels for a cloud.
 pub(super) struct Widths {
     bins: Bins,
     min_m: f64,
     max_m: f64,
+    /// Neighbours looked at for one parcel.
+    looks: usize,
 }
 
 impl Widths {
     /// Kernels between two widths.
     pub(super) fn new(parcels: &[Parcel], min_m: f64, max_m: f64) -> Self {
-        Self { bins: Bins::new(parcels, max_m.min(1.5 * min_m).max(min_m)), min_m, max_m }
+        let edge = (PARCELS_PER_EDGE / parcels.len().max(1) as f64).cbrt().clamp(EDGES[0], EDGES[1]);
+        let bins = Bins::new(parcels, max_m.max(min_m).min(edge * min_m));
+        Self { bins, min_m, max_m, looks: (LOOKS_MAX / parcels.len().max(1)).max(LOOKS_MIN) }
     }
 
     /// Width of each parcel's spline in metres, and the N_eff = (Σ a K)² / Σ (a K)² reached there, a the droplet area.
@@ -60,7 +76,7 @@ impl Widths {
         (0..parcels.len())
             .into_par_iter()
             .map(|i| {
-                let n_eff_at = |width: f64| self.bins.n_eff(parcels[i].position_m, width);
+                let n_eff_at = |width: f64| self.bins.n_eff(parcels[i].position_m, width, self.looks);
                 let (mut width, mut reached) =
                     before.get(i).copied().unwrap_or_else(|| (self.min_m, n_eff_at(self.min_m)));
                 for _ in 0..STEPS {
@@ -86,15 +102,10 @@ pub(super) fn shares(
     width_m: f64,
     open: &(dyn Fn(usize) -> bool + Sync),
 ) -> Vec<(u32, f64)> {
-    let cell_m = grid.cell_m();
-    let along: [(usize, Vec<f64>); 3] = std::array::from_fn(|a| {
-        let place = (position_m[a] - grid.lower_m[a]) / cell_m[a];
-        let width = width_m / cell_m[a];
-        let first = index(place - 1.5 * width, grid.cells[a]);
-        let last = index(place + 1.5 * width, grid.cells[a]);
-        let edge = |i: usize| spline_integral((i as f64 - place) / width);
-        (first, (first..=last).map(|i| edge(i + 1) - edge(i)).collect())
-    });
+    let mut along: [(usize, Vec<f64>); 3] = Default::default();
+    for (a, (first, shares)) in along.iter_mut().enumerate() {
+        *first = stretch(grid, a, position_m[a], width_m, shares);
+    }
     let largest: f64 = along.iter().map(|a| a.1.iter().copied().fold(0.0, f64::max)).product();
     let mut shares = Vec::new();
     let mut sum = 0.0;
@@ -114,6 +125,7 @@ pub(super) fn shares(
         }
     }
     if shares.is_empty() {
+        let cell_m = grid.cell_m();
         let own =
             std::array::from_fn(|a| index((position_m[a] - grid.lower_m[a]) / cell_m[a], grid.cells[a]));
         return vec![(narrow(grid.linear(own)), 1.0)];
@@ -122,6 +134,25 @@ pub(super) fn shares(
         share.1 /= sum;
     }
     shares
+}
+
+/// The first cell along an axis that a kernel reaches; fills `shares` with those of it and the cells after it.
+pub(super) fn stretch(
+    grid: &Grid,
+    axis: usize,
+    position_m: f64,
+    width_m: f64,
+    shares: &mut Vec<f64>,
+) -> usize {
+    let cell_m = grid.cell_m()[axis];
+    let place = (position_m - grid.lower_m[axis]) / cell_m;
+    let width = width_m / cell_m;
+    let first = index(place - 1.5 * width, grid.cells[axis]);
+    let last = index(place + 1.5 * width, grid.cells[axis]);
+    let edge = |i: usize| spline_integral((i as f64 - place) / width);
+    shares.clear();
+    shares.extend((first..=last).map(|i| edge(i + 1) - edge(i)));
+    first
 }
 
 /// The cell that holds a place given in cells from the lower end, at most `count − 1`.
@@ -187,22 +218,31 @@ impl Bins {
         Self { grid, start, parcels: sorted }
     }
 
-    fn n_eff(&self, position_m: [f64; 3], width_m: f64) -> f64 {
+    /// N_eff at a place. Of more than `looks` neighbours only every second, third … counts, for as many: both sums shrink
+    /// alike, so that N_eff is as many times the sample's.
+    fn n_eff(&self, position_m: [f64; 3], width_m: f64, looks: usize) -> f64 {
         let first = bin_of(&self.grid, position_m.map(|x| x - 1.5 * width_m));
         let last = bin_of(&self.grid, position_m.map(|x| x + 1.5 * width_m));
+        let rows = || {
+            (first[0]..=last[0]).flat_map(move |x| (first[1]..=last[1]).map(move |y| [x, y])).map(|[x, y]| {
+                let ends = [first[2], last[2]].map(|z| self.grid.linear([x, y, z]));
+                self.start[ends[0]] as usize..self.start[ends[1] + 1] as usize
+            })
+        };
+        let every = rows().map(|row| row.len()).sum::<usize>().div_ceil(looks).max(1);
         let (mut sum, mut squares) = (0.0, 0.0);
-        for x in first[0]..=last[0] {
-            for y in first[1]..=last[1] {
-                let row = self.grid.linear([x, y, first[2]])..=self.grid.linear([x, y, last[2]]);
-                let range = self.start[*row.start()] as usize..self.start[row.end() + 1] as usize;
-                for (place, area) in &self.parcels[range] {
-                    let weight: f64 = (0..3).map(|a| spline((place[a] - position_m[a]) / width_m)).product();
-                    sum += weight * area;
-                    squares += (weight * area) * (weight * area);
-                }
+        // How many of the next row come before the next one that is looked at.
+        let mut skip = 0;
+        for row in rows() {
+            let length = row.len();
+            for (place, area) in self.parcels[row].iter().skip(skip).step_by(every) {
+                let weight: f64 = (0..3).map(|a| spline((place[a] - position_m[a]) / width_m)).product();
+                sum += weight * area;
+                squares += (weight * area) * (weight * area);
             }
+            skip = (skip + every - length % every) % every;
         }
-        if squares > 0.0 { sum * sum / squares } else { 0.0 }
+        if squares > 0.0 { every as f64 * sum * sum / squares } else { 0.0 }
     }
 }
 
@@ -252,5 +292,19 @@ mod tests {
         assert!(n_eff >= 30.0);
         let expected = 8e9 * width.powi(3) / 0.55_f64.powi(3);
         assert!((n_eff / expected - 1.0).abs() < 0.1, "{n_eff} against {expected}");
+    }
+
+    #[test]
+    fn a_sample_of_the_neighbours_finds_the_same() {
+        let mut parcels = Vec::new();
+        for i in 0..40_i32.pow(3) {
+            let at = [i / 1600, i / 40 % 40, i % 40].map(|v| f64::from(v) * 0.25e-3);
+            let droplets = 100.0 + f64::from(i % 7);
+            parcels.push(Parcel { position_m: at, diameter_m: 1e-5, temperature_k: 380.0, droplets });
+        }
+        let bins = Bins::new(&parcels, 1e-3);
+        let [all, some] = [usize::MAX, 2000].map(|looks| bins.n_eff([5e-3; 3], 2e-3, looks));
+        // 2000 of 13 824 parcels in bins of 24³: some 250 have weight.
+        assert!((some / all - 1.0).abs() < 0.1, "{all} {some}");
     }
 }

@@ -4,6 +4,7 @@
 
 mod grid;
 mod kernel;
+mod kinds;
 mod noise;
 mod placement;
 mod slopes;
@@ -15,6 +16,7 @@ use super::field::{CfdSpray, Gas, Grid, Parcel, SprayField, junk};
 use super::import::SceneError;
 use grid::Contents;
 use kernel::narrow;
+use kinds::Kinds;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use vapour::{Spread, Sums};
@@ -88,7 +90,10 @@ pub struct DepositReport {
     pub junk_parcels: usize,
     /// Share of the droplet area that was in junk parcels.
     pub junk_area_share: f64,
-    /// Largest relative difference, over the parcels, of the droplets deposited (before rounding to f32) and given.
+    /// Kinds of droplets that the parcels were sorted into, for there are too many to be kept one by one in every cell; 0:
+    /// each by itself.
+    pub kinds: usize,
+    /// Largest relative difference, over the parcels or kinds, of the droplets deposited (before rounding to f32) and given.
     pub droplet_error: f64,
     /// Vapour deposited, in mol.
     pub vapour_mol: f64,
@@ -139,15 +144,16 @@ pub fn smoothness(spray: &CfdSpray, options: &DepositOptions) -> Result<Option<S
 /// Spreads a spray on a grid.
 ///
 /// Droplets: each parcel's number is shared among cells by a quadratic B-spline along each axis, as wide as its
-/// neighbourhood needs; the shares of a parcel sum to 1. Vapour: a plane in each CFD cell, as steep as its neighbours
+/// neighbourhood needs; the shares of a parcel sum to 1. Very many parcels are sorted into kinds of droplets
+/// ([`DepositReport::kinds`]): then the area of each parcel is kept in every cell, and diameters and temperatures nearly. Vapour: a plane in each CFD cell, as steep as its neighbours
 /// allow and nowhere below zero (level on a grid no finer than the CFD), integrated exactly over each overlap, so that each CFD cell keeps its vapour. Gas
 /// temperature: likewise a plane; weighted with the vapour where there is vapour, else with the mass; where no CFD cell
 /// is known, the mean of the cells left out, or the liquid's temperature.
 ///
 /// # Errors
 ///
-/// [`SceneError::Deposit`] if there is neither liquid nor gas, an option is out of range, or the grid would have
-/// more than [`CELLS_MAX`] cells.
+/// [`SceneError::Deposit`] if there is neither liquid nor gas, an option is out of range, the grid would have
+/// more than [`CELLS_MAX`] cells, or its cells would hold more droplets of all kinds than fit into memory.
 pub fn field(spray: &CfdSpray, options: &DepositOptions) -> Result<(SprayField, DepositReport), SceneError> {
     check(options)?;
     let all = spray.parcels.as_deref().unwrap_or_default();
@@ -190,27 +196,24 @@ pub fn field(spray: &CfdSpray, options: &DepositOptions) -> Result<(SprayField, 
     // Cells that no CFD cell fills are walls, if all CFD cells are known and there are any.
     let walls_known = walls.is_some() && spray.remainder.is_none();
     let open = |cell: usize| !walls_known || spread.sums[cell].filled_m3 > 0.0;
-    let shares: Vec<Vec<(u32, f64)>> = sorted
-        .inside
-        .par_iter()
-        .zip(&kernels.widths)
-        .map(|(parcel, width)| kernel::shares(&grid, parcel.position_m, width.0, &open))
-        .collect();
-    let droplet_error =
-        shares.iter().map(|list| (list.iter().map(|s| s.1).sum::<f64>() - 1.0).abs()).fold(0.0, f64::max);
-    let field =
-        assemble(grid, &sorted.inside, &shares, &spread, spray.remainder.map(|r| r.temperature_mean_k));
     let smooth = kernels.smoothness(&sorted.inside);
+    let n_eff_short = kernels.mean(&sorted.inside, &|w| f64::from(u8::from(w.1 < options.n_eff)));
+    let droplets = sorted.inside.iter().map(|p| p.droplets).sum();
+    let parcels = sorted.inside.len();
+    let deposit = deposited(&grid, sorted.inside, &kernels.widths, &open)?;
+    let (droplet_error, kinds) = (deposit.error, deposit.parcels.len());
+    let field = assemble(grid, deposit, &spread, spray.remainder.map(|r| r.temperature_mean_k));
     let report = DepositReport {
-        droplets: sorted.inside.iter().map(|p| p.droplets).sum(),
+        droplets,
         outside_droplets: sorted.outside_droplets,
         outside_parcels: sorted.outside_parcels,
         junk_parcels: sorted.junk_parcels,
         junk_area_share: sorted.junk_area_share,
+        kinds: if kinds < parcels { kinds } else { 0 },
         droplet_error,
         n_eff: smooth.n_eff,
         n_eff_wanted: kernels.wanted,
-        n_eff_short: kernels.mean(&sorted.inside, &|w| f64::from(u8::from(w.1 < options.n_eff))),
+        n_eff_short,
         kernel_m: smooth.kernel_m,
         split_half: smooth.split_half,
         ..gas_report(&field, &spread)
@@ -343,16 +346,39 @@ fn sort_parcels(parcels: &[Parcel], bounds: Option<Bounds>) -> Sorted {
     sorted
 }
 
-fn assemble(
-    grid: Grid,
-    parcels: &[Parcel],
-    shares: &[Vec<(u32, f64)>],
-    spread: &Spread,
-    ambient_k: Option<f64>,
-) -> SprayField {
+/// Parcels one by one, or as kinds where that would be too much.
+fn deposited(
+    grid: &Grid,
+    parcels: Vec<Parcel>,
+    widths: &[(f64, f64)],
+    open: &(dyn Fn(usize) -> bool + Sync),
+) -> Result<Kinds, SceneError> {
+    if kinds::entries(grid, widths) > kinds::ENTRIES_MAX {
+        return kinds::spread(grid, &parcels, widths, open);
+    }
+    let volume = grid.cell_volume_m3();
+    let (errors, lists): (Vec<f64>, Vec<_>) = parcels
+        .par_iter()
+        .zip(widths)
+        .map(|(parcel, width)| {
+            let shares = kernel::shares(grid, parcel.position_m, width.0, open);
+            let error = (shares.iter().map(|s| s.1).sum::<f64>() - 1.0).abs();
+            let density = |share: f64| {
+                #[expect(clippy::cast_possible_truncation, reason = "the field is kept in single precision")]
+                let density = (share * parcel.droplets / volume) as f32;
+                density
+            };
+            (error, shares.into_iter().map(|(cell, share)| (cell, density(share))).collect())
+        })
+        .unzip();
+    Ok(Kinds { parcels, lists, error: errors.into_iter().fold(0.0, f64::max) })
+}
+
+fn assemble(grid: Grid, deposit: Kinds, spread: &Spread, ambient_k: Option<f64>) -> SprayField {
+    let Kinds { parcels, lists, .. } = deposit;
     let volume = grid.cell_volume_m3();
     let mut count = vec![0_u32; grid.len()];
-    for (cell, _) in shares.iter().flatten() {
+    for (cell, _) in lists.iter().flatten() {
         count[*cell as usize] += 1;
     }
     let mut cells = Vec::new();
@@ -369,13 +395,11 @@ fn assemble(
     }
     let mut deposit_parcel = vec![0_u32; filled as usize];
     let mut deposit_per_m3 = vec![0_f32; filled as usize];
-    for (index, list) in shares.iter().enumerate() {
-        for (cell, share) in list {
-            let slot = next[*cell as usize] as usize;
-            next[*cell as usize] += 1;
+    for (index, list) in lists.into_iter().enumerate() {
+        for (cell, density) in list {
+            let slot = next[cell as usize] as usize;
+            next[cell as usize] += 1;
             deposit_parcel[slot] = narrow(index);
-            #[expect(clippy::cast_possible_truncation, reason = "the field is kept in single precision")]
-            let density = (share * parcels[index].droplets / volume) as f32;
             deposit_per_m3[slot] = density;
         }
     }
@@ -392,15 +416,7 @@ fn assemble(
             Gas { temperature_k, vapour_mol_m3: sums.vapour_mol / volume }
         })
         .collect();
-    SprayField {
-        grid,
-        cells,
-        gas,
-        parcels: parcels.to_vec(),
-        deposit_start: start,
-        deposit_parcel,
-        deposit_per_m3,
-    }
+    SprayField { grid, cells, gas, parcels, deposit_start: start, deposit_parcel, deposit_per_m3 }
 }
 
 fn gas_temperature_k(sums: &Sums) -> Option<f64> {
@@ -427,6 +443,7 @@ fn gas_report(field: &SprayField, spread: &Spread) -> DepositReport {
         outside_parcels: 0,
         junk_parcels: 0,
         junk_area_share: 0.0,
+        kinds: 0,
         droplet_error: 0.0,
         vapour_mol,
         outside_vapour_mol: spread.outside_mol,

@@ -205,6 +205,12 @@ fn noise(report: &DepositReport) -> Vec<String> {
          differ by {x:.3}, {y:.3}, {z:.3} in transmission seen along x, y, z, and the whole errs by half of that",
         report.n_eff, report.kernel_m
     )];
+    if report.kinds > 0 {
+        notes.push(format!(
+            "parcels: there are so many that {} kinds of droplets stand for them",
+            report.kinds
+        ));
+    }
     let worst = report.split_half.into_iter().fold(0.0, f64::max);
     if worst > DepositOptions::default().noise_max {
         notes.push(format!(

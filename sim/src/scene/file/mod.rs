@@ -169,6 +169,13 @@ impl Reader<'_> {
             .collect::<Result<Vec<_>, _>>()?;
         let medium = self.superpose(media)?;
         let exposure = tables.exposure.map(|e| self.exposure(&e, medium.as_ref())).transpose()?;
+        if exposure.is_some_and(|e| e.time_s > 0.0 && e.motion_m().iter().all(|m| *m == 0.0))
+            && !matches!(medium, None | Some(MediumSource::Parametric(_)))
+        {
+            notes.push(
+                "exposure: the medium stands still; give [exposure] velocity_m_s to see it move".to_owned(),
+            );
+        }
         let mut scene = Scene {
             camera,
             plate,

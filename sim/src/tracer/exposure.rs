@@ -1,0 +1,441 @@
+//! The pixels of an image from the medium and its in-scattered light: one sight through each, more where the image bends.
+
+use super::ends;
+use super::errormap::with_errors;
+use super::fine::Fine;
+use super::gather::{Field, Light, Sight};
+use super::image::{Job, Stats, tell};
+use super::interpolation::{PIXEL_MAX, Stencil, estimates, is_first};
+use super::operator::Operator;
+use super::packet::{LANES, Packet};
+use super::pixels::{Frame, Refinement, sub_sights};
+use super::reconstruct::ROWS;
+use super::sampling::Lit;
+use super::spectrum::{Spectrum, narrow, vectorised};
+use super::vector::Vector;
+use rayon::prelude::*;
+
+/// Sights of one parallel task.
+const TASK_SIGHTS: usize = 256;
+
+/// Share of the target that the means over the pixels may err, rms; where nothing is scattered nothing else errs.
+pub(super) const PIXEL_SHARE: f32 = 0.5;
+const PIXEL_SHARE_ALONE: f32 = 0.8;
+
+/// What is known of a pixel besides its coefficients.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Summary {
+    /// Plate and medium, mean over the groups.
+    pub(super) shown: [f32; ROWS],
+    /// Noise and bias of plate and medium, single draws.
+    pub(super) errors: [[f32; ROWS]; 2],
+    /// The same of the wall that is known least.
+    pub(super) errors_ends: [f32; 2],
+    pub(super) met: bool,
+    pub(super) sights: u32,
+    pub(super) cells: u32,
+}
+
+impl Job<'_> {
+    pub(super) fn gather<S: Spectrum>(
+        &self,
+        fine: &Fine<S>,
+        lit: Option<&Lit<S>>,
+        plate_seen: Vec<f32>,
+        candidates: &[u32],
+        stats: &mut Stats,
+    ) -> Operator {
+        let field = Field {
+            fine,
+            plate: self.frame.plate,
+            // Images whose walls are told apart are not gathered here.
+            chamber: None,
+            light: lit.map(|lit| Light::new(fine, &lit.scattered, &lit.leaves)),
+        };
+        let sparse = self.frame.pixel_in_cells(&fine.bricks) <= PIXEL_MAX;
+        let columns = self.frame.camera.columns;
+        let first: Vec<usize> = (0..candidates.len())
+            .filter(|&i| {
+                let pixel = candidates[i] as usize;
+                !sparse || is_first(pixel / columns, pixel % columns)
+            })
+            .collect();
+        let mut taken = Taken::new(fine.groups, fine.channels, candidates.len());
+        let jobs: Vec<(usize, usize)> = first.iter().map(|&i| (i, 1)).collect();
+        self.take(&field, &plate_seen, candidates, &jobs, &mut taken);
+        // Where the image bends from pixel to pixel, one sight does not give the mean; where it does not, none is needed.
+        let mut shown: Vec<[f32; ROWS]> = plate_seen.iter().map(|&seen| [seen, 0.0]).collect();
+        for &i in &first {
+            shown[candidates[i] as usize] = taken.summaries[i].shown;
+        }
+        let stencils = if sparse { self.stencils(candidates) } else { Vec::new() };
+        let rows = self.frame.camera.rows;
+        let estimates = estimates([rows, columns], candidates, &stencils, &shown);
+        for (&pixel, estimate) in candidates.iter().zip(&estimates) {
+            match estimate {
+                Some([value, _]) if !is_first(pixel as usize / columns, pixel as usize % columns) => {
+                    shown[pixel as usize] = *value;
+                }
+                _ => {}
+            }
+        }
+        // Those that were seen to check the others are as good as samples.
+        let interpolated: Vec<_> = estimates
+            .iter()
+            .zip(&taken.summaries)
+            .map(|(e, summary)| e.filter(|_| summary.sights == 0).map(|[_, error]| error))
+            .collect();
+        let share = if lit.is_some() { PIXEL_SHARE } else { PIXEL_SHARE_ALONE };
+        let budget = share * narrow(self.options.target_error);
+        let mut refined = Vec::new();
+        if sparse {
+            refined =
+                self.frame.refinements(&shown, candidates, &plate_seen, &interpolated, &refined, budget);
+            let jobs: Vec<(usize, usize)> = (0..candidates.len())
+                .filter(|&i| refined[i].n > 0 && taken.summaries[i].sights == 0)
+                .map(|i| (i, 1))
+                .collect();
+            self.take(&field, &plate_seen, candidates, &jobs, &mut taken);
+            for &(i, _) in &jobs {
+                shown[candidates[i] as usize] = taken.summaries[i].shown;
+            }
+        }
+        let refined = self.frame.refinements(&shown, candidates, &plate_seen, &[], &refined, budget);
+        let jobs: Vec<(usize, usize)> =
+            (0..candidates.len()).map(|i| (i, refined[i].n)).filter(|&(_, n)| n > 1).collect();
+        self.take(&field, &plate_seen, candidates, &jobs, &mut taken);
+        let left_out = taken.interpolate(&stencils, &refined, candidates, &plate_seen);
+        let Taken { values, summaries, .. } = taken;
+        let rms = |row: usize| {
+            let square = |r: &Refinement| f64::from(r.error[row]).powi(2);
+            (refined.iter().map(square).sum::<f64>() / real(refined.len().max(1))).sqrt()
+        };
+        tell(stats, "sights", summaries.iter().map(|s| f64::from(s.sights)).sum());
+        tell(stats, "cells_visited", summaries.iter().map(|s| f64::from(s.cells)).sum());
+        tell(stats, "pixels_refined", real(refined.iter().filter(|r| r.n > 1).count()));
+        tell(stats, "pixels_interpolated", real(left_out));
+        tell(stats, "error_pixel", rms(0).max(rms(1)));
+        let active: Vec<usize> = (0..candidates.len()).filter(|&i| summaries[i].met).collect();
+        let operator = self.assemble(fine, plate_seen, candidates, &values, &active);
+        self.error_map(operator, &summaries, &refined, &active, stats)
+    }
+
+    /// Where the pixels that are no samples are interpolated from.
+    fn stencils(&self, candidates: &[u32]) -> Vec<Option<Stencil>> {
+        let (rows, columns) = (self.frame.camera.rows, self.frame.camera.columns);
+        candidates
+            .par_iter()
+            .with_min_len(1024)
+            .map(|&pixel| Stencil::new(rows, columns, pixel as usize))
+            .collect()
+    }
+
+    /// Adds the sights of some candidates (their places, and how many per axis); values of an earlier pass give way.
+    fn take<S: Spectrum>(
+        &self,
+        field: &Field<'_, S>,
+        plate_seen: &[f32],
+        candidates: &[u32],
+        jobs: &[(usize, usize)],
+        taken: &mut Taken,
+    ) {
+        let (groups, width) = (field.fine.groups, taken.width);
+        let mut values = vec![0.0_f32; jobs.len() * width];
+        // A task has about as many sights as any other.
+        let sights: usize = jobs.iter().map(|(_, n)| n * n).sum();
+        let size = (TASK_SIGHTS * jobs.len() / sights.max(1)).clamp(1, TASK_SIGHTS);
+        let summaries: Vec<Summary> = values
+            .par_chunks_mut(width * size)
+            .zip(jobs.par_chunks(size))
+            .flat_map_iter(|(values, jobs)| {
+                let pixels: Vec<(u32, usize)> = jobs.iter().map(|&(i, n)| (candidates[i], n)).collect();
+                let sights = self.sights(field, plate_seen, &pixels, false);
+                let finished = sights.iter().zip(values.chunks_exact_mut(width));
+                finished.map(|(s, v)| finish(s, groups, v)).collect::<Vec<_>>()
+            })
+            .collect();
+        for ((&(i, _), new), summary) in jobs.iter().zip(values.chunks_exact(width)).zip(summaries) {
+            taken.values[i * width..(i + 1) * width].copy_from_slice(new);
+            let before = taken.summaries[i];
+            taken.summaries[i] = Summary {
+                met: summary.met || before.met,
+                sights: summary.sights + before.sights,
+                cells: summary.cells + before.cells,
+                ..summary
+            };
+        }
+    }
+
+    /// What the sights of some pixels collect; errors of all, or of one pixel in 16.
+    pub(super) fn sights<S: Spectrum>(
+        &self,
+        field: &Field<'_, S>,
+        plate_seen: &[f32],
+        jobs: &[(u32, usize)],
+        errors: bool,
+    ) -> Vec<Sight<S>> {
+        let channels = field.fine.channels;
+        let mut sights: Vec<Sight<S>> = jobs.iter().map(|_| Sight::new(channels, false)).collect();
+        if S::WIDTH == 1 {
+            let mut packet = Packet::new(channels);
+            let mut owners = [0; LANES];
+            vectorised(
+                #[inline(always)]
+                || {
+                    let mut left = jobs.iter().enumerate();
+                    let mut now = None;
+                    let mut going = true;
+                    while going {
+                        // Sub-sights of one pixel after the other, until the packet is full or nothing is left.
+                        while packet.lanes() < LANES {
+                            let Some((job, aims, k)) = &mut now else {
+                                let Some((job, &(pixel, n))) = left.next() else {
+                                    going = false;
+                                    break;
+                                };
+                                now = Some((job, self.aims(pixel, n, plate_seen), 0));
+                                continue;
+                            };
+                            let (ray, share) = aims.at(*k);
+                            owners[packet.lanes()] = *job;
+                            packet.push(field.fine, field.plate, ray, share, errors || aims.errors);
+                            *k += 1;
+                            if *k == aims.n * aims.n {
+                                now = None;
+                            }
+                        }
+                        packet.run(field);
+                        for (lane, &job) in owners[..packet.lanes()].iter().enumerate() {
+                            packet.take(field, lane, &mut sights[job]);
+                        }
+                        packet.clear();
+                    }
+                },
+            );
+        } else {
+            vectorised(
+                #[inline(always)]
+                || {
+                    for (sight, &(pixel, n)) in sights.iter_mut().zip(jobs) {
+                        let aims = self.aims(pixel, n, plate_seen);
+                        let mut k = 0;
+                        while k < n * n {
+                            let (ray, share) = aims.at(k);
+                            if errors || aims.errors {
+                                sight.add::<true>(field, ray, share);
+                            } else {
+                                sight.add::<false>(field, ray, share);
+                            }
+                            k += 1;
+                        }
+                    }
+                },
+            );
+        }
+        sights
+    }
+
+    /// The sights through a pixel, `n` per axis.
+    #[inline(always)]
+    fn aims(&self, pixel: u32, n: usize, plate_seen: &[f32]) -> Aims<'_> {
+        let columns = self.frame.camera.columns;
+        let (row, column) = (pixel as usize / columns, pixel as usize % columns);
+        let shares = if n > 1 { self.shares(row, column, n, plate_seen[pixel as usize]) } else { None };
+        Aims { frame: &self.frame, row, column, n, shares, errors: with_errors(row, column) }
+    }
+
+    /// Weights of sub-sights that see the plate and of those that do not, where its edge crosses the pixel.
+    fn shares(&self, row: usize, column: usize, n: usize, seen: f32) -> Option<[f32; 2]> {
+        if seen <= 0.0 || seen >= 1.0 {
+            return None;
+        }
+        let hits = sub_sights(row, column, n).filter(|&(r, c)| self.frame.sees(r, c)).count();
+        let misses = n * n - hits;
+        (hits > 0 && misses > 0).then(|| [seen / narrow(real(hits)), (1.0 - seen) / narrow(real(misses))])
+    }
+
+    pub(super) fn assemble<S: Spectrum>(
+        &self,
+        fine: &Fine<S>,
+        plate_seen: Vec<f32>,
+        candidates: &[u32],
+        values: &[f32],
+        active: &[usize],
+    ) -> Operator {
+        let (groups, channels) = (fine.groups, fine.channels);
+        let width = self.width(groups, channels);
+        let part = |from: usize, to: usize| -> Vec<f32> {
+            let mut out = vec![0.0; active.len() * (to - from)];
+            if from == to {
+                return out;
+            }
+            out.par_chunks_mut(1024 * (to - from)).zip(active.par_chunks(1024)).for_each(|(out, active)| {
+                for (out, &i) in out.chunks_exact_mut(to - from).zip(active) {
+                    out.copy_from_slice(&values[i * width + from..i * width + to]);
+                }
+            });
+            out
+        };
+        Operator {
+            rows: self.frame.camera.rows,
+            columns: self.frame.camera.columns,
+            groups,
+            channels,
+            plate_seen,
+            pixels: active.iter().map(|&i| candidates[i]).collect(),
+            a_plate: part(0, groups),
+            emission: part(groups, groups * (1 + channels)),
+            direct: part(groups * (1 + channels), groups * (1 + 2 * channels)),
+            a_ends: part(groups * (1 + 2 * channels), width),
+            ..Operator::default()
+        }
+    }
+}
+
+/// What has been found of the candidates.
+struct Taken {
+    /// Coefficients, `[candidate · width]`: plate, emission, direct emission.
+    values: Vec<f32>,
+    width: usize,
+    groups: usize,
+    summaries: Vec<Summary>,
+}
+
+impl Taken {
+    fn new(groups: usize, channels: usize, candidates: usize) -> Self {
+        let width = groups * (1 + 2 * channels);
+        let summaries = vec![Summary::default(); candidates];
+        Self { values: vec![0.0; candidates * width], width, groups, summaries }
+    }
+
+    /// Interpolates the candidates that got no sight; their number.
+    fn interpolate(
+        &mut self,
+        stencils: &[Option<Stencil>],
+        refined: &[Refinement],
+        candidates: &[u32],
+        plate_seen: &[f32],
+    ) -> usize {
+        let (groups, width) = (self.groups, self.width);
+        let mut place = vec![u32::MAX; plate_seen.len()];
+        for (i, &pixel) in (0..).zip(candidates) {
+            place[pixel as usize] = i;
+        }
+        let (values, summaries) = (&self.values, &self.summaries);
+        let found: Vec<(usize, Vec<f32>, bool)> = stencils
+            .par_iter()
+            .enumerate()
+            .with_min_len(1024)
+            .filter(|&(i, _)| refined[i].n == 0)
+            .filter_map(|(i, stencil)| {
+                let mut sum = vec![0.0_f32; width];
+                let mut met = false;
+                for (pixel, weight) in stencil.as_ref()?.terms() {
+                    match place[pixel] as usize {
+                        p if p < summaries.len() => {
+                            met |= summaries[p].met;
+                            let from = &values[p * width..(p + 1) * width];
+                            sum.iter_mut().zip(from).for_each(|(s, v)| *s = v.mul_add(weight, *s));
+                        }
+                        _ => sum[..groups].iter_mut().for_each(|s| *s += weight * plate_seen[pixel]),
+                    }
+                }
+                bounded(&mut sum, groups);
+                Some((i, sum, met))
+            })
+            .collect();
+        for (i, sum, met) in &found {
+            self.values[i * width..(i + 1) * width].copy_from_slice(sum);
+            self.summaries[*i].met = *met;
+        }
+        found.len()
+    }
+}
+
+/// Keeps interpolated coefficients (plate, emission, direct emission) in their ranges.
+fn bounded(values: &mut [f32], groups: usize) {
+    values.iter_mut().for_each(|v| *v = v.max(0.0));
+    for g in 0..groups {
+        let sum = values[g] + values[groups + g];
+        if sum > 1.0 {
+            values[g] /= sum;
+            values[groups + g] /= sum;
+        }
+    }
+}
+
+/// Sights through one pixel.
+struct Aims<'a> {
+    frame: &'a Frame<'a>,
+    row: usize,
+    column: usize,
+    /// Sights per axis.
+    n: usize,
+    /// Weights of those that see the plate and of those that do not.
+    shares: Option<[f32; 2]>,
+    /// Whether their errors are followed.
+    errors: bool,
+}
+
+impl Aims<'_> {
+    /// Origin, direction and weight of the k-th sight.
+    #[inline(always)]
+    fn at(&self, k: usize) -> ((Vector, Vector), f32) {
+        let place = [k / self.n, k % self.n].map(|i| (real(i) + 0.5) / real(self.n));
+        let (r, c) = (real(self.row) + place[0], real(self.column) + place[1]);
+        let share = match self.shares {
+            None => 1.0,
+            Some([on, _]) if self.frame.sees(r, c) => on,
+            Some([_, off]) => off,
+        };
+        (self.frame.sights.ray(r, c), share)
+    }
+}
+
+/// A complete sight as coefficients.
+pub(super) fn finish<S: Spectrum>(sight: &Sight<S>, groups: usize, values: &mut [f32]) -> Summary {
+    let share = 1.0 / sight.weight.max(f32::MIN_POSITIVE);
+    let channels = 1 + sight.extra.len();
+    let mut shown = [0.0; ROWS];
+    for g in 0..groups {
+        let mut plate = sight.plate.get(g) * share;
+        let mut medium = (sight.direct.get(g) + sight.medium.get(g)) * share;
+        // Against the rounding of the sums (1e-6), so that the walls' share is never negative.
+        let sum = plate + medium;
+        if sum > 1.0 {
+            plate /= sum;
+            medium /= sum;
+        }
+        values[g] = plate;
+        values[groups + g] = medium;
+        shown[0] += plate;
+        shown[1] += medium;
+        values[(1 + channels) * groups + g] = sight.direct.get(g) * share;
+        for (c, [direct, scattered]) in sight.extra.iter().enumerate() {
+            let direct = direct.get(g);
+            values[(2 + c) * groups + g] = (direct + scattered.get(g)) * share;
+            values[(2 + channels + c) * groups + g] = direct * share;
+        }
+    }
+    let (before, ends) = values.split_at_mut((1 + 2 * channels) * groups);
+    for (end, values) in sight.ends.iter().zip(ends.chunks_exact_mut(groups)) {
+        for (g, value) in values.iter_mut().enumerate() {
+            *value = end.get(g) * share;
+        }
+    }
+    ends::close(ends, &before[..groups], &before[groups..2 * groups]);
+    let per_group = 1.0 / narrow(real(groups));
+    Summary {
+        shown: shown.map(|s| s * per_group),
+        errors: sight.errors(groups),
+        errors_ends: sight.ends_errors(groups),
+        met: sight.met,
+        sights: u32::try_from(sight.sights).unwrap_or(u32::MAX),
+        cells: u32::try_from(sight.cells).unwrap_or(u32::MAX),
+    }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
+fn real(n: usize) -> f64 {
+    n as f64
+}

@@ -1,0 +1,250 @@
+//! In-scattered light of an image: the medium is cut into leaves, their cache is sampled in rounds, and both are repeated
+//! until the errors of the image are below the target.
+
+use super::blocks::Blocks;
+use super::cache::{Cache, Leaves, Origin};
+use super::camera::PixelFilter;
+use super::cuts::{Limits, cut};
+use super::fine::{CELLS, Fine};
+use super::gather::{Field, Light, Sight};
+use super::image::{ALBEDO_SHARE, Job, Stats, tell};
+use super::paths::World;
+use super::pixels::sub_sights;
+use super::reconstruct::{ROWS, Scattered, pure_bias, reconstruct};
+use super::scatter::Scatter;
+use super::spectrum::{Spectrum, narrow, vectorised};
+use super::visibility;
+use rayon::prelude::*;
+
+/// Rounds of sampling: a pilot and corrections.
+const ROUNDS_MAX: usize = 8;
+
+/// Paths of a round over those before it, at most.
+const GROWTH_MAX: f64 = 3.0;
+
+/// Cuts of the medium into leaves: a first guess and finer ones.
+const CUTS_MAX: usize = 3;
+
+/// Share of the target beyond which a reconstruction error calls for smaller leaves: those cost new paths, while room for
+/// noise is worth up to five times as many.
+const RECUT: f64 = 0.9;
+
+/// Paths of the pilot: as many as bring the noise to twice the target where one path per image has a deviation of 0.5.
+const PILOT_DEVIATION: f64 = 0.25;
+
+const PILOT_MIN: f64 = 8192.0;
+
+const PILOT_MAX: f64 = 1_048_576.0;
+
+/// At least so many candidates are used to estimate errors between rounds.
+const PROBES: usize = 8192;
+
+/// Candidates of one parallel task.
+const PROBED: usize = 128;
+
+/// Share of the target that the estimated errors of scattered light may take.
+const MARGIN: f64 = 0.7;
+
+/// Depth and spread of leaves and of path blocks at a target of 1e-3; they go with the root of the target.
+const LEAF: Limits = Limits { depth: 0.3, spread: 0.1 };
+
+const BLOCK: Limits = Limits { depth: 1.0, spread: 0.04 };
+
+/// In-scattered light with the leaves that it belongs to.
+pub(super) struct Lit<S> {
+    pub(super) scattered: Scattered<S>,
+    pub(super) leaves: Leaves,
+}
+
+impl Job<'_> {
+    /// In-scattered light, unless nothing scatters or nobody would see it.
+    pub(super) fn lit<S: Spectrum>(
+        &self,
+        fine: &Fine<S>,
+        candidates: &[u32],
+        stats: &mut Stats,
+    ) -> Option<Lit<S>> {
+        let albedo = fine.core.par_iter().map(|c| c[1].largest()).reduce(|| 0.0, f32::max);
+        let skipped = f64::from(albedo) <= ALBEDO_SHARE * self.options.target_error;
+        if !self.options.scatter || skipped || candidates.is_empty() {
+            // What is left out: paths; and the error that it admits where the target allows it.
+            tell(stats, "skipped_scattering", 1.0);
+            tell(
+                stats,
+                "skipped_scattering_error",
+                if self.options.scatter { f64::from(albedo) } else { 0.0 },
+            );
+            return None;
+        }
+        Some(self.scatter(fine, candidates, stats))
+    }
+
+    /// Samples the cache until the errors of the image are below the target.
+    fn scatter<S: Spectrum>(&self, fine: &Fine<S>, candidates: &[u32], stats: &mut Stats) -> Lit<S> {
+        // What the estimates of the errors miss is left room for.
+        let target = MARGIN * self.options.target_error;
+        let scatter = Scatter::<S>::new(&self.medium.phase);
+        let probes = self.probes(fine, candidates);
+        let mut scale = (target / 1e-3).sqrt().clamp(0.3, 3.0);
+        let (mut rounds, mut cuts) = (0, 0);
+        loop {
+            let limits =
+                |l: Limits| Limits { depth: l.depth * narrow(scale), spread: l.spread * narrow(scale) };
+            let blocks = Blocks::<S>::new(fine, limits(BLOCK));
+            let bricks = cut(fine, limits(LEAF));
+            let count: usize = fine.occupied.iter().map(|&b| bricks.list[b].blocks()).sum();
+            let mut leaves = Leaves { bricks, occupied: fine.occupied.clone(), demand: vec![0.0; count] };
+            visibility::demand(fine, &mut leaves, self.frame.sights, self.frame.plate, &probes);
+            let chamber = self.options.walls.apart();
+            let world = World { blocks: &blocks, scatter: &scatter, plate: self.frame.plate, chamber };
+            let origin = Origin { fine, leaves: &leaves, sights: self.frame.sights, seed: self.options.seed };
+            let mut cache = Cache::<S>::new(count, fine.channels, chamber.is_some());
+            let mut wanted = (PILOT_DEVIATION / target).powi(2).clamp(PILOT_MIN, PILOT_MAX);
+            let mut round = 0;
+            // Whether other leaves are called for.
+            let last = finest(&leaves);
+            let coarse = |bias: f64, cuts: usize| bias > RECUT * target && cuts < CUTS_MAX && !last;
+            let (scattered, [noise, bias]) = loop {
+                let left = real_wide(self.options.paths_max.saturating_sub(cache.samples));
+                let done = 0.05 + 0.2 * real(rounds.min(4));
+                let told = |p: f64| (self.progress)(done + 0.15 * p);
+                cache.add(&origin, &world, wanted.min(left), &told);
+                rounds += 1;
+                round += 1;
+                let scattered = reconstruct(fine, &leaves, &cache);
+                let errors = self.probe(fine, &scattered, &leaves, candidates);
+                // What is left for noise beside the reconstruction, a third of the target at least.
+                let room = (target * target - errors[1] * errors[1]).max(target * target / 9.0).sqrt();
+                let ratio = errors[0] / room;
+                let recut = errors[0] <= target && coarse(errors[1], cuts + 1);
+                if ratio <= 1.0 || recut || round == ROUNDS_MAX || cache.samples >= self.options.paths_max {
+                    break (scattered, errors);
+                }
+                wanted = real_wide(cache.samples) * (1.1 * ratio * ratio - 1.0).min(GROWTH_MAX);
+            };
+            cuts += 1;
+            if !coarse(bias, cuts) || cache.samples >= self.options.paths_max {
+                for (name, value) in [
+                    ("leaves", real(count)),
+                    ("leaves_seen", real(leaves.demand.iter().filter(|&&d| d > 0.0).count())),
+                    ("leaves_skipped", real(leaves.demand.iter().filter(|&&d| d <= 0.0).count())),
+                    ("blocks", real(blocks.core.len())),
+                    ("paths", real_wide(cache.samples)),
+                    ("scatterings", real_wide(cache.scatterings)),
+                    ("blocks_visited", real_wide(cache.blocks)),
+                    ("rounds", real(rounds)),
+                    ("cuts", real(cuts)),
+                    ("error_noise", noise),
+                    ("error_reconstruction", bias),
+                ] {
+                    tell(stats, name, value);
+                }
+                return Lit { scattered, leaves };
+            }
+            scale *= (0.6 * target / bias).sqrt().clamp(0.2, 0.7);
+        }
+    }
+
+    /// Sights close enough together that no leaf is missed that a pixel can see.
+    fn probes<S: Spectrum>(&self, fine: &Fine<S>, candidates: &[u32]) -> Vec<(f64, f64)> {
+        let columns = self.frame.camera.columns;
+        let wide = self.frame.pixel_in_cells(&fine.bricks);
+        let centre = self.frame.camera.pixel_filter == PixelFilter::Centre;
+        let stride = if wide <= 0.25 {
+            4
+        } else if wide <= 0.5 {
+            2
+        } else {
+            1
+        };
+        let fine_sights = if centre || wide <= 1.0 {
+            1
+        } else if wide <= 2.0 {
+            2
+        } else {
+            4
+        };
+        let mut probes: Vec<(f64, f64)> = candidates
+            .iter()
+            .map(|&p| (p as usize / columns, p as usize % columns))
+            // Rows are shifted against each other, so that the sights do not line up with the cells.
+            .filter(|&(row, column)| row % stride == 0 && (column + row / stride) % stride == 0)
+            .flat_map(|(row, column)| sub_sights(row, column, fine_sights))
+            .collect();
+        if self.frame.spreads() {
+            probes.extend(self.frame.beside(&fine.bricks, stride));
+        }
+        probes
+    }
+
+    /// Rms noise and reconstruction error over a part of the pixels, the larger ones of plate and medium.
+    fn probe<S: Spectrum>(
+        &self,
+        fine: &Fine<S>,
+        scattered: &Scattered<S>,
+        leaves: &Leaves,
+        candidates: &[u32],
+    ) -> [f64; 2] {
+        let light = Light::new(fine, scattered, leaves);
+        let chamber = self.options.walls.apart();
+        let field = Field { fine, plate: self.frame.plate, chamber, light: Some(light) };
+        // An odd stride walks through all columns.
+        let stride = (candidates.len() / PROBES).max(1) | 1;
+        let jobs: Vec<(u32, usize)> = candidates.iter().step_by(stride).map(|&p| (p, 1)).collect();
+        let probed: Vec<[[f32; ROWS]; 2]> = jobs
+            .par_chunks(PROBED)
+            .flat_map_iter(|jobs| self.sights(&field, &[], jobs, true))
+            .filter(|sight| sight.met)
+            .map(|sight| sight.errors(fine.groups))
+            .collect();
+        let mean = |kind: usize, row: usize| {
+            probed.iter().map(|e| f64::from(e[kind][row]).powi(2)).sum::<f64>() / real(probed.len().max(1))
+        };
+        let [noise, bias] = [0, 1].map(|kind: usize| [0, 1].map(|row: usize| mean(kind, row)));
+        let pure = [0, 1].map(|row: usize| f64::from(pure_bias(narrow(noise[row]), narrow(bias[row]))));
+        let [ends_noise, ends_bias] = self.probe_ends(&field, &jobs);
+        [noise[0].max(noise[1]).max(ends_noise).sqrt(), pure[0].max(pure[1]).max(ends_bias).sqrt()]
+    }
+
+    /// Mean squares of noise and bias of the walls' shares, where they are told apart.
+    fn probe_ends<S: Spectrum>(&self, field: &Field<'_, S>, jobs: &[(u32, usize)]) -> [f64; 2] {
+        if field.chamber.is_none() {
+            return [0.0; 2];
+        }
+        let columns = self.frame.camera.columns;
+        let probed: Vec<[f32; 2]> = jobs
+            .par_iter()
+            .with_min_len(64)
+            .filter_map(|&(pixel, _)| {
+                let mut sight = Sight::<S>::new(field.fine.channels, true);
+                let (row, column) = (pixel as usize / columns, pixel as usize % columns);
+                let ray = self.frame.sights.ray(real(row) + 0.5, real(column) + 0.5);
+                vectorised(
+                    #[inline(always)]
+                    || sight.add::<true>(field, ray, 1.0),
+                );
+                sight.met.then(|| sight.ends_errors(field.fine.groups))
+            })
+            .collect();
+        let mean = |kind: usize| {
+            probed.iter().map(|e| f64::from(e[kind]).powi(2)).sum::<f64>() / real(probed.len().max(1))
+        };
+        let [noise, bias] = [mean(0), mean(1)];
+        [noise, f64::from(pure_bias(narrow(noise), narrow(bias)))]
+    }
+}
+
+/// Whether no leaf can be cut further.
+fn finest(leaves: &Leaves) -> bool {
+    leaves.occupied.len() * CELLS == leaves.demand.len()
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
+fn real(n: usize) -> f64 {
+    n as f64
+}
+
+#[expect(clippy::cast_precision_loss, reason = "path counts are far below 2^53")]
+fn real_wide(n: u64) -> f64 {
+    n as f64
+}
