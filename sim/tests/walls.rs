@@ -74,6 +74,7 @@ fn camera(filter: PixelFilter) -> Camera {
         columns: 24,
         rows: 20,
         pixel_filter: filter,
+        lens: None,
     }
 }
 
@@ -320,6 +321,7 @@ fn seen(scene: &Scene, walls: Walls) -> Vec<(f64, f64)> {
                 medium: a.medium[0],
                 emission: 0.0,
                 se: [a.se_plate, a.se_walls, a.se_medium[0]],
+                ..Share::default()
             };
             if walls.apart().is_none() {
                 let seen = lights.see(&[share]);

@@ -168,8 +168,9 @@ impl<S: Spectrum> Sight<S> {
         self.direct = self.direct.plus(own);
         if hit.is_some() {
             self.plate = self.plate.plus(through);
-        } else if let Some(chamber) = field.chamber {
-            let end = &mut self.ends[chamber.end(ray.0, direction)];
+        } else if let Some(chamber) = field.chamber
+            && let Some(end) = self.ends.get_mut(chamber.end(ray.0, direction))
+        {
             *end = end.plus(through);
         }
         self.met |= cells > 0;
@@ -208,6 +209,9 @@ impl<S: Spectrum> Sight<S> {
                 self.noise[row] = self.noise[row].plus_product(run.weight, inside.noise[row]);
                 self.bias[row] = self.bias[row].plus_product(run.weight, inside.bias[row]);
             }
+        }
+        if self.ends.is_empty() {
+            return;
         }
         for (axis, leaves) in light.scattered.sides.iter().enumerate() {
             let inside = &leaves[run.leaf];
