@@ -8,10 +8,11 @@ use super::image::{Job, Stats, tell};
 use super::interpolation::{PIXEL_MAX, Stencil, estimates, is_first};
 use super::operator::Operator;
 use super::packet::{LANES, Packet};
+use super::pieces::Pieces;
 use super::pixels::{Frame, Refinement, sub_sights};
 use super::reconstruct::ROWS;
 use super::sampling::Lit;
-use super::spectrum::{Spectrum, narrow, vectorised};
+use super::spectrum::{One, Spectrum, narrow, vectorised};
 use super::vector::Vector;
 use rayon::prelude::*;
 
@@ -174,64 +175,78 @@ impl Job<'_> {
         jobs: &[(u32, usize)],
         errors: bool,
     ) -> Vec<Sight<S>> {
-        let channels = field.fine.channels;
-        let mut sights: Vec<Sight<S>> = jobs.iter().map(|_| Sight::new(channels, false)).collect();
-        if S::WIDTH == 1 {
-            let mut packet = Packet::new(channels);
-            let mut owners = [0; LANES];
-            vectorised(
-                #[inline(always)]
-                || {
-                    let mut left = jobs.iter().enumerate();
-                    let mut now = None;
-                    let mut going = true;
-                    while going {
-                        // Sub-sights of one pixel after the other, until the packet is full or nothing is left.
-                        while packet.lanes() < LANES {
-                            let Some((job, aims, k)) = &mut now else {
-                                let Some((job, &(pixel, n))) = left.next() else {
-                                    going = false;
-                                    break;
-                                };
-                                now = Some((job, self.aims(pixel, n, plate_seen), 0));
-                                continue;
-                            };
-                            let (ray, share) = aims.at(*k);
-                            owners[packet.lanes()] = *job;
-                            packet.push(field.fine, field.plate, ray, share, errors || aims.errors);
-                            *k += 1;
-                            if *k == aims.n * aims.n {
-                                now = None;
-                            }
-                        }
-                        packet.run(field);
-                        for (lane, &job) in owners[..packet.lanes()].iter().enumerate() {
-                            packet.take(field, lane, &mut sights[job]);
-                        }
-                        packet.clear();
-                    }
-                },
-            );
-        } else {
-            vectorised(
-                #[inline(always)]
-                || {
-                    for (sight, &(pixel, n)) in sights.iter_mut().zip(jobs) {
-                        let aims = self.aims(pixel, n, plate_seen);
-                        let mut k = 0;
-                        while k < n * n {
-                            let (ray, share) = aims.at(k);
-                            if errors || aims.errors {
-                                sight.add::<true>(field, ray, share);
-                            } else {
-                                sight.add::<false>(field, ray, share);
-                            }
-                            k += 1;
-                        }
-                    }
-                },
-            );
+        if let Some(fine) = field.fine.single() {
+            let pieces = field.light.as_ref().and_then(|light| light.pieces.as_ref());
+            let sights = self.sights_together(fine, pieces, plate_seen, jobs, errors);
+            return sights.iter().map(Sight::widened).collect();
         }
+        let mut sights: Vec<Sight<S>> = jobs.iter().map(|_| Sight::new(field.fine.channels, false)).collect();
+        vectorised(
+            #[inline(always)]
+            || {
+                for (sight, &(pixel, n)) in sights.iter_mut().zip(jobs) {
+                    let aims = self.aims(pixel, n, plate_seen);
+                    let mut k = 0;
+                    while k < n * n {
+                        let (ray, share) = aims.at(k);
+                        if errors || aims.errors {
+                            sight.add::<true>(field, ray, share);
+                        } else {
+                            sight.add::<false>(field, ray, share);
+                        }
+                        k += 1;
+                    }
+                }
+            },
+        );
+        sights
+    }
+
+    /// The same through a medium of one group, many sights at once.
+    fn sights_together(
+        &self,
+        fine: &Fine<One>,
+        pieces: Option<&Pieces>,
+        plate_seen: &[f32],
+        jobs: &[(u32, usize)],
+        errors: bool,
+    ) -> Vec<Sight<One>> {
+        let mut sights: Vec<Sight<One>> = jobs.iter().map(|_| Sight::new(fine.channels, false)).collect();
+        let mut packet = Packet::new(fine.channels);
+        let mut owners = [0; LANES];
+        vectorised(
+            #[inline(always)]
+            || {
+                let mut left = jobs.iter().enumerate();
+                let mut now = None;
+                let mut going = true;
+                while going {
+                    // Sub-sights of one pixel after the other, until the packet is full or nothing is left.
+                    while packet.lanes() < LANES {
+                        let Some((job, aims, k)) = &mut now else {
+                            let Some((job, &(pixel, n))) = left.next() else {
+                                going = false;
+                                break;
+                            };
+                            now = Some((job, self.aims(pixel, n, plate_seen), 0));
+                            continue;
+                        };
+                        let (ray, share) = aims.at(*k);
+                        owners[packet.lanes()] = *job;
+                        packet.push(fine, self.frame.plate, ray, share, errors || aims.errors);
+                        *k += 1;
+                        if *k == aims.n * aims.n {
+                            now = None;
+                        }
+                    }
+                    packet.run(fine, pieces);
+                    for (lane, &job) in owners[..packet.lanes()].iter().enumerate() {
+                        packet.take(pieces, lane, &mut sights[job]);
+                    }
+                    packet.clear();
+                }
+            },
+        );
         sights
     }
 

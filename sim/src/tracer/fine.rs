@@ -2,7 +2,7 @@
 
 use super::bricks::{Brick, Bricks, EDGE, NONE};
 use super::medium::{EMPTY, GridMedium};
-use super::spectrum::{Spectrum, narrow};
+use super::spectrum::{One, Spectrum, narrow};
 use rayon::prelude::*;
 
 /// Extinction beyond which a cell of any size is opaque in f32; keeps products finite.
@@ -115,6 +115,13 @@ impl<S: Spectrum> Fine<S> {
             })
             .collect();
         Self { bricks, occupied, slot, core, source, channels, groups }
+    }
+}
+
+impl<S: Spectrum> Fine<S> {
+    /// Itself, if it holds a single group.
+    pub(super) fn single(&self) -> Option<&Fine<One>> {
+        (self as &dyn std::any::Any).downcast_ref()
     }
 }
 

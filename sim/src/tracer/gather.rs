@@ -14,6 +14,7 @@ use super::plate::Plate;
 use super::reconstruct::{InLeaf, ROWS, Scattered};
 use super::spectrum::{Spectrum, narrow};
 use super::vector::{Vector, sub};
+use std::any::Any;
 
 /// Nothing can be seen through less than this, the smallest normal number of f32 with a margin.
 pub(super) const OPAQUE: f32 = 1e-30;
@@ -33,13 +34,14 @@ pub(super) struct Light<'a, S> {
     /// Leaves and centres, in the order of the occupied bricks.
     cuts: Vec<Brick>,
     /// The same for packets of a single group.
-    pub(super) pieces: Pieces,
+    pub(super) pieces: Option<Pieces>,
 }
 
 impl<'a, S: Spectrum> Light<'a, S> {
     pub(super) fn new(fine: &Fine<S>, scattered: &'a Scattered<S>, leaves: &Leaves) -> Self {
         let cuts = leaves.occupied.iter().map(|&b| leaves.bricks.list[b]).collect();
-        let pieces = if S::WIDTH == 1 { Pieces::new(fine, scattered, leaves) } else { Pieces::none() };
+        let single = (scattered as &dyn Any).downcast_ref();
+        let pieces = fine.single().zip(single).map(|(fine, single)| Pieces::new(fine, single, leaves));
         Self { scattered, cuts, pieces }
     }
 }
@@ -86,6 +88,25 @@ impl<S: Spectrum> Sight<S> {
             weight: 0.0,
             sights: 0,
             cells: 0,
+        }
+    }
+
+    /// The same for media of another number of groups, of which the first is meant.
+    pub(super) fn widened<T: Spectrum>(&self) -> Sight<T> {
+        let wide = |s: S| T::splat(s.get(0));
+        Sight {
+            plate: wide(self.plate),
+            medium: wide(self.medium),
+            direct: wide(self.direct),
+            extra: self.extra.iter().map(|rows| rows.map(wide)).collect(),
+            noise: self.noise.map(wide),
+            bias: self.bias.map(wide),
+            ends: self.ends.iter().map(|&s| wide(s)).collect(),
+            ends_errors: self.ends_errors.map(|rows| rows.map(wide)),
+            met: self.met,
+            weight: self.weight,
+            sights: self.sights,
+            cells: self.cells,
         }
     }
 

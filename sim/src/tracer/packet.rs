@@ -8,11 +8,11 @@
 
 use super::bricks::{Brick, EDGE, EDGE_LOG, NONE};
 use super::fine::Fine;
-use super::gather::{Field, OPAQUE, Sight};
+use super::gather::{OPAQUE, Sight};
 use super::pieces::Pieces;
 use super::plate::Plate;
 use super::reconstruct::ROWS;
-use super::spectrum::{Spectrum, narrow, split};
+use super::spectrum::{One, Spectrum, narrow, split};
 use super::vector::{Vector, along};
 
 /// Sights of a packet.
@@ -115,9 +115,9 @@ impl Packet {
     /// Adds a sight from `origin` along the unit vector `direction`.
     #[inline(always)]
     #[expect(clippy::cast_possible_truncation, reason = "clamped to the box, whose cells fit into i32")]
-    pub(super) fn push<S: Spectrum>(
+    pub(super) fn push(
         &mut self,
-        fine: &Fine<S>,
+        fine: &Fine<One>,
         plate: Option<&Plate>,
         (origin, direction): (Vector, Vector),
         share: f32,
@@ -155,12 +155,7 @@ impl Packet {
     /// Follows all sights to their ends; what they meet is kept in pieces of `cuts`, a list of all bricks, or in none.
     /// `each` is called for every few steps.
     #[inline(always)]
-    fn follow<S: Spectrum>(
-        &mut self,
-        fine: &Fine<S>,
-        cuts: &[Brick],
-        mut each: impl FnMut(&mut Self, usize),
-    ) {
+    fn follow(&mut self, fine: &Fine<One>, cuts: &[Brick], mut each: impl FnMut(&mut Self, usize)) {
         for l in self.lanes..LANES {
             // Idle lanes stand in a cell of the box and never move.
             for a in 0..3 {
@@ -186,21 +181,19 @@ impl Packet {
 
     /// Follows all sights and collects what they see.
     #[inline(always)]
-    pub(super) fn run<S: Spectrum>(&mut self, field: &Field<'_, S>) {
+    pub(super) fn run(&mut self, fine: &Fine<One>, pieces: Option<&Pieces>) {
         self.sums.iter_mut().for_each(|s| *s = [[0.0; 4]; 2]);
         self.direct.iter_mut().for_each(|d| *d = 0.0);
-        let pieces = field.light.as_ref().map(|light| &light.pieces);
-        let cuts = pieces.map(|p| p.cuts.as_slice()).unwrap_or_default();
         self.follow(
-            field.fine,
-            cuts,
+            fine,
+            pieces.map(|p| p.cuts.as_slice()).unwrap_or_default(),
             #[inline(always)]
             |packet, kept| {
                 if let Some(pieces) = pieces {
                     packet.lit(pieces, kept);
                 }
-                if field.fine.channels > 1 {
-                    packet.emission(field, kept);
+                if fine.channels > 1 {
+                    packet.emission(fine, kept);
                 }
             },
         );
@@ -210,9 +203,9 @@ impl Packet {
     /// may come several times in a row.
     #[inline(always)]
     #[expect(clippy::cast_sign_loss, reason = "pieces are counted from zero")]
-    pub(super) fn visit<S: Spectrum>(
+    pub(super) fn visit(
         &mut self,
-        fine: &Fine<S>,
+        fine: &Fine<One>,
         cuts: &[Brick],
         mut seen: impl FnMut(usize, usize, f32),
     ) {
@@ -242,7 +235,7 @@ impl Packet {
         clippy::cast_precision_loss,
         reason = "cells stay inside the box, whose bricks, cells and places fit into 31 bits"
     )]
-    fn step<S: Spectrum>(&mut self, fine: &Fine<S>, cuts: &[Brick], kept: usize) -> bool {
+    fn step(&mut self, fine: &Fine<One>, cuts: &[Brick], kept: usize) -> bool {
         let bricks = &fine.bricks;
         let [_, ny, nz] = bricks.count.map(|n| n as i32);
         let last = bricks.cells.map(|n| n as i32 - 1);
@@ -367,14 +360,14 @@ impl Packet {
     /// Straight emission of the channels from 1 on over the last steps.
     #[inline(always)]
     #[expect(clippy::cast_sign_loss, reason = "places are counted from zero")]
-    fn emission<S: Spectrum>(&mut self, field: &Field<'_, S>, kept: usize) {
-        let extra = field.fine.channels - 1;
+    fn emission(&mut self, fine: &Fine<One>, kept: usize) {
+        let extra = fine.channels - 1;
         for l in 0..self.lanes {
             for s in 0..kept {
                 let weight = self.weight[s].0[l];
                 if weight > 0.0 {
-                    let o = field.fine.slot[self.place[s].0[l] as usize] as usize;
-                    let source = &field.fine.source[o * extra..(o + 1) * extra];
+                    let o = fine.slot[self.place[s].0[l] as usize] as usize;
+                    let source = &fine.source[o * extra..(o + 1) * extra];
                     for (sum, source) in self.direct[l * extra..(l + 1) * extra].iter_mut().zip(source) {
                         *sum = source.get(0).mul_add(weight, *sum);
                     }
@@ -384,26 +377,26 @@ impl Packet {
     }
 
     /// Adds what a lane has collected to a pixel's sum.
-    pub(super) fn take<S: Spectrum>(&self, field: &Field<'_, S>, lane: usize, sight: &mut Sight<S>) {
-        let extra = field.fine.channels - 1;
+    pub(super) fn take(&self, pieces: Option<&Pieces>, lane: usize, sight: &mut Sight<One>) {
+        let extra = sight.extra.len();
         if self.sees_plate[lane] {
-            sight.plate = sight.plate.plus(S::splat(self.through.0[lane]));
+            sight.plate = sight.plate.plus(One::splat(self.through.0[lane]));
         }
-        sight.direct = sight.direct.plus(S::splat(self.own.0[lane]));
+        sight.direct = sight.direct.plus(One::splat(self.own.0[lane]));
         for c in 0..extra {
             let to = &mut sight.extra[c][0];
-            *to = to.plus(S::splat(self.direct[lane * extra + c]));
+            *to = to.plus(One::splat(self.direct[lane * extra + c]));
         }
-        if let Some(light) = &field.light {
-            let rows = light.pieces.rows;
+        if let Some(pieces) = pieces {
+            let rows = pieces.rows;
             let value = |row: usize| {
                 let [sum, moment] = self.sums[lane * rows + row];
                 let mut all = sum[0];
                 for a in 0..3 {
-                    let from = self.entry[a].0[lane] - light.pieces.middle[a];
+                    let from = self.entry[a].0[lane] - pieces.middle[a];
                     all += sum[1 + a].mul_add(from, moment[1 + a] * self.slope[a].0[lane]);
                 }
-                S::splat(all.max(0.0))
+                One::splat(all.max(0.0))
             };
             sight.plate = sight.plate.plus(value(0));
             sight.medium = sight.medium.plus(value(1));
@@ -412,8 +405,8 @@ impl Packet {
                 *to = to.plus(value(ROWS + c));
             }
             for row in 0..ROWS {
-                sight.noise[row] = sight.noise[row].plus(S::splat(self.noise[lane][row]));
-                sight.bias[row] = sight.bias[row].plus(S::splat(self.bias[lane][row]));
+                sight.noise[row] = sight.noise[row].plus(One::splat(self.noise[lane][row]));
+                sight.bias[row] = sight.bias[row].plus(One::splat(self.bias[lane][row]));
             }
         }
         let cells = u64::from(self.cells.0[lane].unsigned_abs());

@@ -8,7 +8,7 @@ use super::bricks::{Brick, EDGE, EDGE_LOG};
 use super::cache::Leaves;
 use super::fine::Fine;
 use super::reconstruct::{InLeaf, ROWS, Scattered, centre};
-use super::spectrum::{Spectrum, narrow};
+use super::spectrum::{One, Spectrum, narrow};
 use rayon::prelude::*;
 
 /// Light by pieces.
@@ -26,13 +26,8 @@ pub(super) struct Pieces {
 }
 
 impl Pieces {
-    /// No light: for media of several groups, which read the leaves themselves.
-    pub(super) fn none() -> Self {
-        Self { cuts: Vec::new(), rows: 0, lines: Vec::new(), errors: Vec::new(), middle: [0.0; 3] }
-    }
-
     /// Cuts the leaves.
-    pub(super) fn new<S: Spectrum>(fine: &Fine<S>, scattered: &Scattered<S>, leaves: &Leaves) -> Self {
+    pub(super) fn new(fine: &Fine<One>, scattered: &Scattered<One>, leaves: &Leaves) -> Self {
         let rows = 1 + fine.channels;
         let mut cuts = vec![Brick::EMPTY; fine.bricks.list.len()];
         let mut count = 0;
@@ -87,8 +82,8 @@ impl Pieces {
 }
 
 /// Value at the middle of the box and slopes of a piece at `offset` from its leaf's centre and `place` from the middle.
-fn line<S: Spectrum>(
-    inside: &InLeaf<S>,
+fn line(
+    inside: &InLeaf<One>,
     row: usize,
     offset: [f32; 3],
     place: [f64; 3],

@@ -39,6 +39,9 @@ const PILOT_MAX: f64 = 1_048_576.0;
 /// At least so many candidates are used to estimate errors between rounds.
 const PROBES: usize = 8192;
 
+/// Target from which fewer sights tell where the camera looks.
+const ROUGH: f64 = 2e-3;
+
 /// Candidates of one parallel task.
 const PROBED: usize = 128;
 
@@ -150,10 +153,12 @@ impl Job<'_> {
         let columns = self.frame.camera.columns;
         let wide = self.frame.pixel_in_cells(&fine.bricks);
         let centre = self.frame.camera.pixel_filter == PixelFilter::Centre;
+        // For a rough image a demand that a few sights gave will do: leaves beside those that were seen get some too.
+        let rough = if self.options.target_error >= ROUGH { 2 } else { 1 };
         let stride = if wide <= 0.25 {
             4
         } else if wide <= 0.5 {
-            2
+            2 * rough
         } else {
             1
         };

@@ -7,7 +7,7 @@ use super::fine::{CELLS, Fine};
 use super::packet::{LANES, Packet};
 use super::plate::Plate;
 use super::reconstruct::neighbours;
-use super::spectrum::{Spectrum, narrow, vectorised};
+use super::spectrum::{One, Spectrum, narrow, vectorised};
 use super::vector::Vector;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -31,7 +31,7 @@ pub(super) fn demand<S: Spectrum>(
     probes: &[(f64, f64)],
 ) {
     let sums: Vec<AtomicU64> = (0..leaves.demand.len()).map(|_| AtomicU64::new(0)).collect();
-    if S::WIDTH == 1 {
+    if let Some(fine) = fine.single() {
         packets(fine, leaves, sights, plate, probes, &sums);
     } else {
         one_by_one(fine, leaves, sights, plate, probes, &sums);
@@ -110,8 +110,8 @@ fn one_by_one<S: Spectrum>(
 }
 
 /// The same for one group, many probes at once.
-fn packets<S: Spectrum>(
-    fine: &Fine<S>,
+fn packets(
+    fine: &Fine<One>,
     leaves: &Leaves,
     sights: &Sights,
     plate: Option<&Plate>,

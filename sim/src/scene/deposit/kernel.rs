@@ -73,9 +73,13 @@ impl Widths {
     /// The smallest width of min · 1.2^k, at most max, that reaches `n_eff`; `before`, empty or found for a smaller
     /// N_eff, is where the search goes on.
     pub(super) fn find(&self, parcels: &[Parcel], n_eff: f64, before: &[(f64, f64)]) -> Vec<(f64, f64)> {
-        (0..parcels.len())
-            .into_par_iter()
-            .map(|i| {
+        // Neighbours one after another, so that what they look at is at hand.
+        let found: Vec<(f64, f64)> = self
+            .bins
+            .order
+            .par_iter()
+            .map(|&i| {
+                let i = i as usize;
                 let n_eff_at = |width: f64| self.bins.n_eff(parcels[i].position_m, width, self.looks);
                 let (mut width, mut reached) =
                     before.get(i).copied().unwrap_or_else(|| (self.min_m, n_eff_at(self.min_m)));
@@ -88,7 +92,12 @@ impl Widths {
                 }
                 (width, reached)
             })
-            .collect()
+            .collect();
+        let mut widths = vec![(0.0, 0.0); parcels.len()];
+        for (&i, found) in self.bins.order.iter().zip(found) {
+            widths[i as usize] = found;
+        }
+        widths
     }
 }
 
@@ -175,6 +184,8 @@ struct Bins {
     start: Vec<u32>,
     /// Position and area, sorted by bin.
     parcels: Vec<([f64; 3], f64)>,
+    /// Number of each of them in the cloud.
+    order: Vec<u32>,
 }
 
 /// Bins along an axis at most; wider clouds get wider bins.
@@ -184,7 +195,7 @@ impl Bins {
     fn new(parcels: &[Parcel], size_m: f64) -> Self {
         if parcels.is_empty() {
             let grid = Grid { lower_m: [0.0; 3], upper_m: [1.0; 3], cells: [1; 3] };
-            return Self { grid, start: vec![0; 2], parcels: Vec::new() };
+            return Self { grid, start: vec![0; 2], parcels: Vec::new(), order: Vec::new() };
         }
         let mut lower_m = [f64::INFINITY; 3];
         let mut upper_m = [f64::NEG_INFINITY; 3];
@@ -211,11 +222,13 @@ impl Bins {
         }
         let mut next = start.clone();
         let mut sorted = vec![([0.0; 3], 0.0); parcels.len()];
-        for (parcel, &b) in parcels.iter().zip(&bin) {
+        let mut order = vec![0; parcels.len()];
+        for (i, (parcel, &b)) in parcels.iter().zip(&bin).enumerate() {
             sorted[next[b] as usize] = (parcel.position_m, parcel.area_m2());
+            order[next[b] as usize] = narrow(i);
             next[b] += 1;
         }
-        Self { grid, start, parcels: sorted }
+        Self { grid, start, parcels: sorted, order }
     }
 
     /// N_eff at a place. Of more than `looks` neighbours only every second, third … counts, for as many: both sums shrink
@@ -236,6 +249,9 @@ impl Bins {
         for row in rows() {
             let length = row.len();
             for (place, area) in self.parcels[row].iter().skip(skip).step_by(every) {
+                if (0..3).any(|a| (place[a] - position_m[a]).abs() >= 1.5 * width_m) {
+                    continue;
+                }
                 let weight: f64 = (0..3).map(|a| spline((place[a] - position_m[a]) / width_m)).product();
                 sum += weight * area;
                 squares += (weight * area) * (weight * area);
