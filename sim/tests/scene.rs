@@ -11,7 +11,7 @@ use ditd_sim::tracer::camera::{Camera, PixelFilter};
 use ditd_sim::tracer::image::{RenderOptions, render_image};
 use ditd_sim::tracer::medium::GridMedium;
 use ditd_sim::tracer::plate::Plate;
-use ditd_sim::tracer::rays::{COLLISIONS_PER_RAY_MAX, RayOptions, render_rays};
+use ditd_sim::tracer::rays::{RayOptions, render_rays};
 use ditd_sim::tracer::shape::Body;
 use std::path::Path;
 
@@ -65,12 +65,7 @@ fn shares(scene: &Scene) -> Vec<Share> {
         }
         MediumSource::Cfd(_) | MediumSource::Parametric(_) => panic!("the spray is made"),
     };
-    let options = RayOptions {
-        target_error: 3e-3,
-        seed: 1,
-        paths_max: 1 << 14,
-        collisions_max: COLLISIONS_PER_RAY_MAX,
-    };
+    let options = RayOptions { target_error: 3e-3, seed: 1, paths_max: 1 << 14, ..RayOptions::default() };
     let ray = ([0.005, -0.6, -0.025], [0.0, 2.0, 0.0]);
     let share = |body: &Body<'_>| {
         let answer = render_rays(body, &[ray], plate.as_ref(), &options).expect("a sound scene").remove(0);

@@ -5,13 +5,15 @@ use crate::files::preview::{self, Colours, Preview};
 use ditd_sim::scene::deposit::DepositReport;
 use ditd_sim::scene::exposure::Moments;
 use ditd_sim::scene::file::{self, BandSource, MediumSource, Scene};
-use ditd_sim::scene::lights::{Lights, Mirrored, Share};
+use ditd_sim::scene::lights::{EndShares, Lights, Mirrored, Share};
 use ditd_sim::scene::mirror::Mirror;
 use ditd_sim::scene::optics::{OpticsOptions, OpticsReport, Work};
 use ditd_sim::tracer::camera::Camera;
+use ditd_sim::tracer::chamber::{ENDS, OUTSIDE, SIDE_NAMES, SIDES, Walls};
 use ditd_sim::tracer::image::{RenderOptions, render_image};
 use ditd_sim::tracer::mean_rays::{MeanRay, Setting, mean_rays};
 use ditd_sim::tracer::medium::{EMPTY, GridMedium};
+use ditd_sim::tracer::operator::Operator;
 use ditd_sim::tracer::plate::{Plate, PlateShape};
 use ditd_sim::tracer::rays::{RayAnswer, RayOptions, render_rays};
 use ditd_sim::tracer::reference::render_reference;
@@ -113,17 +115,31 @@ fn nothing() -> GridMedium {
     }
 }
 
-/// Traces rays one by one: per ray one share per spectral group, and the paths of all.
+/// What sights collect: per sight one share per spectral group, and the walls one by one where they are told apart.
+struct Collected {
+    shares: Vec<Vec<Share>>,
+    ends: Vec<EndShares>,
+    stats: Vec<(String, f64)>,
+}
+
+impl Collected {
+    fn of(&self, sight: usize) -> (&[Share], Option<&EndShares>) {
+        (&self.shares[sight], self.ends.get(sight))
+    }
+}
+
+/// Traces rays one by one.
 fn trace(
     scene: &Scene,
+    walls: Walls,
     rays: &[([f64; 3], [f64; 3])],
     shape: Option<&PlateShape>,
     target_error: f64,
     seed: u64,
-) -> Result<(Vec<Vec<Share>>, u64), CommandError> {
+) -> Result<Collected, CommandError> {
     let usage = |e: ditd_sim::tracer::error::TracerError| CommandError::usage(format!("render: {e}"));
     let plate = shape.map(Plate::new).transpose().map_err(usage)?;
-    let options = RayOptions { target_error, seed, paths_max: RAY_PATHS_MAX, ..RayOptions::default() };
+    let options = RayOptions { target_error, seed, paths_max: RAY_PATHS_MAX, walls, ..RayOptions::default() };
     let empty = nothing();
     let bodies = match &scene.medium {
         Some(MediumSource::Shape(shape, _)) => vec![Body::shape(shape)],
@@ -134,7 +150,9 @@ fn trace(
     let own = scene.plate.as_ref().filter(|p| Some(&p.shape) == shape);
     let uneven = if own.is_some() { uneven_plate(scene)? } else { None };
     let mut shares = vec![Vec::new(); rays.len()];
+    let mut ends = vec![EndShares::default(); if walls.apart().is_some() { rays.len() } else { 0 }];
     let mut paths = 0;
+    let groups = bodies.len();
     for body in bodies {
         let answers = render_rays(&body.map_err(usage)?, rays, plate.as_ref(), &options).map_err(usage)?;
         for ((shares, answer), &(origin, direction)) in shares.iter_mut().zip(&answers).zip(rays) {
@@ -147,28 +165,43 @@ fn trace(
             }
             shares.push(share);
         }
+        for (ends, answer) in ends.iter_mut().zip(&answers) {
+            add_ends(ends, answer, groups);
+        }
     }
-    Ok((shares, paths))
+    let stats = vec![("pixels".to_owned(), count(rays.len())), ("paths".to_owned(), paths as f64)];
+    Ok(Collected { shares, ends, stats })
+}
+
+/// Adds one spectral group of a ray; its standard errors become the rms over all groups.
+#[expect(clippy::cast_precision_loss, reason = "groups are few")]
+fn add_ends(ends: &mut EndShares, answer: &RayAnswer, groups: usize) {
+    ends.shares.push(std::array::from_fn(|end| answer.ends[end]));
+    for (sum, se) in ends.se.iter_mut().zip(&answer.se_ends) {
+        *sum = sum.hypot(se / (groups as f64).sqrt());
+    }
 }
 
 /// The same with what the far window mirrors, where it mirrors the chamber.
 fn trace_mirrored(
     scene: &Scene,
+    walls: Walls,
     rays: &[([f64; 3], [f64; 3])],
     target_error: f64,
     seed: u64,
-) -> Result<Vec<Vec<Share>>, CommandError> {
+) -> Result<Collected, CommandError> {
     let plate = scene.plate.as_ref().map(|p| &p.shape);
-    let (mut shares, _) = trace(scene, rays, plate, target_error, seed)?;
-    let Some(mirror) = Mirror::of(scene) else { return Ok(shares) };
+    let mut collected = trace(scene, walls, rays, plate, target_error, seed)?;
+    let Some(mirror) = Mirror::of(scene) else { return Ok(collected) };
     // Rays that pass the window's plane by see no plate behind it either.
     let back: Vec<_> = rays.iter().map(|&(o, d)| mirror.ray(o, d).unwrap_or((o, d))).collect();
     let opening = mirror.opening(rays, 0.0);
-    let (mirrored, _) = trace(scene, &back, opening.as_ref(), mirror.target(target_error), seed)?;
-    for (shares, mirrored) in shares.iter_mut().zip(&mirrored) {
+    let target_error = mirror.target(target_error);
+    let mirrored = trace(scene, walls.together(), &back, opening.as_ref(), target_error, seed)?;
+    for (shares, mirrored) in collected.shares.iter_mut().zip(&mirrored.shares) {
         mirror_in(shares, mirrored);
     }
-    Ok(shares)
+    Ok(collected)
 }
 
 /// Puts what the far window mirrors into the shares of a sight.
@@ -207,13 +240,15 @@ fn uneven_plate(scene: &Scene) -> Result<Option<UnevenPlate>, CommandError> {
 struct Columns {
     lights: Lights,
     windows: bool,
+    /// Whether the walls of a chamber are told apart.
+    apart: bool,
     uneven: bool,
     /// Spectral groups to list.
     groups: usize,
 }
 
 impl Columns {
-    fn new(scene: &Scene, list_groups: bool) -> Self {
+    fn new(scene: &Scene, list_groups: bool, apart: bool) -> Self {
         let groups = match &scene.medium {
             Some(MediumSource::Spectral(grid, _)) => grid.groups,
             _ => 1,
@@ -221,6 +256,7 @@ impl Columns {
         Self {
             lights: Lights::new(scene),
             windows: scene.windows.any(),
+            apart,
             uneven: scene.plate.as_ref().is_some_and(|p| p.deviation.is_some()),
             groups: if list_groups { groups } else { 0 },
         }
@@ -236,8 +272,14 @@ impl Columns {
         if self.uneven {
             names.push("plate_excess_k".to_owned());
         }
+        let ends = || (0..if self.apart { ENDS } else { 0 }).map(end_name);
+        if self.apart {
+            names.extend(ends());
+            names.push("se_wall".to_owned());
+        }
         for g in 0..self.groups {
             names.extend(["a_plate", "a_walls", "a_medium"].map(|n| format!("{n}_g{g:02}")));
+            names.extend(ends().map(|n| format!("{n}_g{g:02}")));
             if self.windows {
                 names.extend(extra.map(|n| format!("{n}_g{g:02}")));
             }
@@ -246,8 +288,11 @@ impl Columns {
         names
     }
 
-    fn values(&self, shares: &[Share]) -> Vec<f64> {
-        let seen = self.lights.see(shares);
+    fn values(&self, (shares, ends): (&[Share], Option<&EndShares>)) -> Vec<f64> {
+        let (seen, by_end) = match ends {
+            Some(ends) => self.lights.see_apart(shares, ends),
+            None => (self.lights.see(shares), [0.0; ENDS]),
+        };
         let [se_plate, se_walls, se_medium, se_window] = seen.se;
         let mut values = vec![seen.plate, seen.walls, seen.medium, se_plate, se_walls, se_medium];
         if self.windows {
@@ -256,9 +301,14 @@ impl Columns {
         if self.uneven {
             values.push(seen.plate_excess_k);
         }
+        if let Some(ends) = ends {
+            values.extend(by_end);
+            values.push(ends.se.iter().copied().fold(0.0, f64::max));
+        }
         for g in 0..self.groups {
             let seen = self.lights.see_group(shares, g);
             values.extend([seen.plate, seen.walls, seen.medium]);
+            values.extend(ends.iter().flat_map(|ends| self.lights.ends_of_group(shares, ends, g)));
             if self.windows {
                 values.extend([seen.window, seen.camera_side]);
             }
@@ -277,14 +327,15 @@ fn single_rays(scene: &Scene, path: &Path, args: &Args) -> CommandResult {
     let text = text.map_err(|e| CommandError::usage(format!("render: reading {}: {e}", path.display())))?;
     let table = RayTable::parse(&text)
         .map_err(|e| CommandError::usage(format!("render: {}: {e}", path.display())))?;
+    let walls = scene.surroundings(&[]);
     if scene.camera.as_ref().is_some_and(|c| c.lens.is_some()) || scene.exposure.is_some() {
         eprintln!("ditd: single rays pass no lens and see the middle of the exposure");
     }
     let target_error = args.target_error.unwrap_or(RAY_TARGET);
-    let shares = trace_mirrored(scene, &table.rays, target_error, args.seed)?;
-    let columns = Columns::new(scene, args.groups);
+    let collected = trace_mirrored(scene, walls, &table.rays, target_error, args.seed)?;
+    let columns = Columns::new(scene, args.groups, walls.apart().is_some());
     let names = columns.names();
-    let rows = shares.iter().map(|shares| columns.values(shares));
+    let rows = (0..table.rays.len()).map(|sight| columns.values(collected.of(sight)));
     if args.json {
         let list: Vec<serde_json::Value> = rows
             .map(|row| names.iter().zip(row).map(|(n, v)| (n.clone(), serde_json::json!(v))).collect())
@@ -425,25 +476,33 @@ fn one_image(mut scene: Scene, args: &Args) -> Result<(Images, Vec<Picture>, Cam
     }
     let target = args.target_error.unwrap_or(IMAGE_TARGET);
     let plate = scene.plate.as_ref().map(|p| &p.shape);
-    let (mut shares, mut stats) = rendered(&scene, &camera, plate, target, args)?;
+    let walls = scene.surroundings(&temperatures_k);
+    let mut collected = rendered(&scene, &camera, walls, plate, target, args)?;
+    let mut stats = std::mem::take(&mut collected.stats);
     if let Some(mirror) = Mirror::of(&scene) {
         let (back, more) = (mirror.camera(&camera), mirror.opening_of(&camera));
-        let (mirrored, more) = rendered(&scene, &back, more.as_ref(), mirror.target(target), args)?;
-        stats.extend(more.into_iter().map(|(name, value)| (format!("mirrored_{name}"), value)));
-        for (pixel, shares) in shares.iter_mut().enumerate() {
+        let alike = walls.together();
+        let mirrored = rendered(&scene, &back, alike, more.as_ref(), mirror.target(target), args)?;
+        stats.extend(mirrored.stats.into_iter().map(|(name, value)| (format!("mirrored_{name}"), value)));
+        for (pixel, shares) in collected.shares.iter_mut().enumerate() {
             // In the mirror left is right.
             let (row, column) = (pixel / camera.columns, pixel % camera.columns);
-            let there = &mirrored[row * camera.columns + camera.columns - 1 - column];
+            let there = &mirrored.shares[row * camera.columns + camera.columns - 1 - column];
             mirror_in(shares, there);
         }
     }
+    if scene.chamber.is_some() {
+        // Walls that all shine alike are one.
+        let skipped = if walls.apart().is_some() { 0 } else { SIDES };
+        stats.push(("skipped_walls".to_owned(), count(skipped)));
+    }
     stats.extend(scene.optics.iter().flat_map(optics_stats));
     stats.extend(scene.deposit.iter().flat_map(deposit_stats));
-    let columns = Columns::new(&scene, args.groups);
-    let mut images = Images { channels: channels(&columns, &shares), stats };
+    let columns = Columns::new(&scene, args.groups, walls.apart().is_some());
+    let mut images = Images { channels: channels(&columns, &collected), stats };
     let mut pictures = Vec::new();
     if temperatures_k.is_empty() && columns.lights.lit() {
-        pictures.push(Picture { name: None, values: radiance(&columns.lights, &shares) });
+        pictures.push(Picture { name: None, values: radiance(&columns.lights, &collected) });
     }
     // Transport is linear: the plate's temperature enters only now.
     for &kelvin in &temperatures_k {
@@ -456,7 +515,7 @@ fn one_image(mut scene: Scene, args: &Args) -> Result<(Images, Vec<Picture>, Cam
                 "render: images at plate temperatures need [band], and temperatures of [walls] and [medium]",
             ));
         }
-        pictures.push(Picture { name: Some(kelvin), values: radiance(&lights, &shares) });
+        pictures.push(Picture { name: Some(kelvin), values: radiance(&lights, &collected) });
     }
     for picture in &pictures {
         if let Some(kelvin) = picture.name {
@@ -472,14 +531,15 @@ fn one_image(mut scene: Scene, args: &Args) -> Result<(Images, Vec<Picture>, Cam
 fn rendered(
     scene: &Scene,
     camera: &Camera,
+    walls: Walls,
     plate: Option<&PlateShape>,
     target: f64,
     args: &Args,
-) -> Result<Rendered, CommandError> {
+) -> Result<Collected, CommandError> {
     if matches!(&scene.medium, Some(MediumSource::Shape(..))) {
-        pixel_by_pixel(scene, camera, plate, target, args.seed)
+        pixel_by_pixel(scene, camera, walls, plate, target, args.seed)
     } else {
-        operator(scene, camera, plate, target, args)
+        operator(scene, camera, walls, plate, target, args)
     }
 }
 
@@ -510,8 +570,23 @@ struct Picture {
     values: Vec<f64>,
 }
 
-fn radiance(lights: &Lights, shares: &[Vec<Share>]) -> Vec<f64> {
-    shares.iter().map(|shares| lights.see(shares).radiance).collect()
+fn radiance(lights: &Lights, collected: &Collected) -> Vec<f64> {
+    (0..collected.shares.len())
+        .map(|sight| match collected.of(sight) {
+            (shares, Some(ends)) => lights.see_apart(shares, ends).0.radiance,
+            (shares, None) => lights.see(shares).radiance,
+        })
+        .collect()
+}
+
+/// The column or channel of a wall, or of the place outside.
+fn end_name(end: usize) -> String {
+    if end == OUTSIDE { "a_outside".to_owned() } else { format!("a_wall_{}", SIDE_NAMES[end]) }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
+fn count(n: usize) -> f64 {
+    n as f64
 }
 
 /// A temperature as part of a name: no dots, which EXR channels cannot have.
@@ -605,24 +680,23 @@ fn deposit_stats(report: &DepositReport) -> Vec<(String, f64)> {
     stats.map(|(name, value)| (name.to_owned(), value)).to_vec()
 }
 
-/// Shares of every pixel and group, and what was done.
-type Rendered = (Vec<Vec<Share>>, Vec<(String, f64)>);
-
 /// The image of a gridded medium: by the cache, or with `--reference` pixel by pixel.
 fn operator(
     scene: &Scene,
     camera: &Camera,
+    walls: Walls,
     plate: Option<&PlateShape>,
     target_error: f64,
     args: &Args,
-) -> Result<Rendered, CommandError> {
+) -> Result<Collected, CommandError> {
     let empty = nothing();
     let medium = match &scene.medium {
         Some(MediumSource::Grid(grid, _) | MediumSource::Spectral(grid, _)) => grid.as_ref(),
         _ => &empty,
     };
     let motion_m = scene.exposure.map_or([0.0; 3], |e| e.motion_m());
-    let options = RenderOptions { target_error, seed: args.seed, motion_m, ..RenderOptions::default() };
+    let options =
+        RenderOptions { target_error, seed: args.seed, walls, motion_m, ..RenderOptions::default() };
     let operator = if args.reference {
         render_reference(medium, camera, plate, &options, None, &|_| {})
     } else {
@@ -672,7 +746,31 @@ fn operator(
         }
         stats.push(("plate_excess_error_k".to_owned(), excess.error_k));
     }
-    Ok((shares, stats))
+    let ends = if walls.apart().is_some() { ends_of(&operator) } else { Vec::new() };
+    Ok(Collected { shares, ends, stats })
+}
+
+/// The walls one by one, of every pixel.
+fn ends_of(operator: &Operator) -> Vec<EndShares> {
+    let groups = operator.groups;
+    let mut ends: Vec<EndShares> = operator
+        .ends_seen
+        .chunks_exact(ENDS)
+        .map(|seen| EndShares {
+            shares: vec![std::array::from_fn(|end| f64::from(seen[end])); groups],
+            se: [0.0; ENDS],
+        })
+        .collect();
+    for (i, &pixel) in operator.pixels.iter().enumerate() {
+        let shares = &operator.a_ends[i * ENDS * groups..(i + 1) * ENDS * groups];
+        ends[pixel as usize] = EndShares {
+            shares: (0..groups)
+                .map(|g| std::array::from_fn(|end| f64::from(shares[end * groups + g])))
+                .collect(),
+            se: [f64::from(operator.error_ends[i]); ENDS],
+        };
+    }
+    ends
 }
 
 /// Analytic shapes: every pixel as a ray of its own through its centre, or with a lens or motion as the mean of rays.
@@ -680,10 +778,11 @@ fn operator(
 fn pixel_by_pixel(
     scene: &Scene,
     camera: &Camera,
+    walls: Walls,
     plate: Option<&PlateShape>,
     target: f64,
     seed: u64,
-) -> Result<Rendered, CommandError> {
+) -> Result<Collected, CommandError> {
     let usage = |e: ditd_sim::tracer::error::TracerError| CommandError::usage(format!("render: {e}"));
     let pixels = (camera.rows * camera.columns) as f64;
     let motion_m = scene.exposure.map_or([0.0; 3], |e| e.motion_m());
@@ -691,6 +790,12 @@ fn pixel_by_pixel(
     let uneven = if own.is_some() { uneven_plate(scene)? } else { None };
     let setting = Setting { camera, plate, uneven: uneven.as_ref(), motion_m };
     if let (true, Some(MediumSource::Shape(shape, _))) = (setting.spreads(), &scene.medium) {
+        if walls.chamber().is_some() {
+            return Err(CommandError::usage(
+                "render: [medium] is a shape, seen through a lens or in motion, in a [chamber]; give it as a grid, or leave \
+                 out one of them",
+            ));
+        }
         let body = Body::shape(shape).map_err(usage)?;
         let options =
             RayOptions { target_error: target, seed, paths_max: RAY_PATHS_MAX, ..RayOptions::default() };
@@ -709,22 +814,22 @@ fn pixel_by_pixel(
                 vec![Share { plate, walls, medium, se, excess, ..Share::default() }]
             })
             .collect();
-        return Ok((shares, stats));
+        return Ok(Collected { shares, ends: Vec::new(), stats });
     }
     let sights = camera.sights().map_err(usage)?;
     let rays: Vec<_> = (0..camera.rows * camera.columns)
         .map(|i| sights.ray((i / camera.columns) as f64 + 0.5, (i % camera.columns) as f64 + 0.5))
         .collect();
-    let (shares, paths) = trace(scene, &rays, plate, target, seed)?;
-    Ok((shares, vec![("pixels".to_owned(), pixels), ("paths".to_owned(), paths as f64)]))
+    trace(scene, walls, &rays, plate, target, seed)
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "EXR images hold f32")]
-fn channels(columns: &Columns, shares: &[Vec<Share>]) -> Vec<(String, Vec<f32>)> {
+fn channels(columns: &Columns, collected: &Collected) -> Vec<(String, Vec<f32>)> {
+    let pixels = collected.shares.len();
     let mut channels: Vec<(String, Vec<f32>)> =
-        columns.names().into_iter().map(|name| (name, Vec::with_capacity(shares.len()))).collect();
-    for shares in shares {
-        for (channel, value) in channels.iter_mut().zip(columns.values(shares)) {
+        columns.names().into_iter().map(|name| (name, Vec::with_capacity(pixels))).collect();
+    for pixel in 0..pixels {
+        for (channel, value) in channels.iter_mut().zip(columns.values(collected.of(pixel))) {
             channel.1.push(value as f32);
         }
     }

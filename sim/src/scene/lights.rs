@@ -18,11 +18,14 @@
 //! An uneven plate shines like one of the mean temperature that a sight sees, T + δ, and half the variance of δ times
 //! B'': exact where a sight sees one place, to the third moment of δ where it sees many.
 
-use super::file::{MediumSource, PlateMirrors, Scene, WindowSource};
+use super::enclosure::{BEYOND, Enclosure, PLATE, SOURCES};
+use super::file::{ChamberSource, MediumSource, PlateMirrors, Scene, WindowSource};
 use crate::light::band::Band;
 use crate::light::planck::{d_photon_radiance_dt, inverse_photon_radiance, photon_radiance};
 use crate::light::window::PlateOptics;
+use crate::tracer::chamber::{ENDS, SIDES};
 use crate::tracer::medium::GridMedium;
+use crate::tracer::plate::Plate;
 
 /// What one sight collects inside the chamber in one spectral group.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -54,6 +57,16 @@ pub struct Mirrored {
     pub emission: f64,
     /// Standard error of the share of the medium.
     pub se: f64,
+}
+
+/// What one sight collects from each wall of a chamber and from the place outside, ordered as
+/// [`crate::tracer::chamber::ENDS`] says.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EndShares {
+    /// Shares per spectral group; those of a group sum to its [`Share::walls`].
+    pub shares: Vec<[f64; ENDS]>,
+    /// Standard errors.
+    pub se: [f64; ENDS],
 }
 
 /// What the camera sees along one sight. Radiances are NaN where band or temperatures are not given.
@@ -108,10 +121,21 @@ struct Sample {
     emissivity: f64,
 }
 
+/// The walls of a chamber at one wavelength.
+#[derive(Debug, Clone, Copy)]
+struct EndSample {
+    /// Radiances per µm that leave the walls, and of the place outside.
+    radiance: [f64; ENDS],
+    /// Normalised weights.
+    share: [f64; ENDS],
+}
+
 /// The light of a scene's band, temperatures and windows.
 #[derive(Debug, Clone)]
 pub struct Lights {
     samples: Vec<Sample>,
+    /// The walls one by one, and the wall that a far window mirrors; none without a chamber.
+    ends: Option<(Vec<EndSample>, usize)>,
     glow: Glow,
     lit: bool,
     plate_k: Option<f64>,
@@ -168,6 +192,7 @@ impl Lights {
                 Sample { weight, near, far, share, radiance, um, emissivity }
             })
             .collect();
+        let ends = scene.chamber.as_ref().map(|chamber| ends(scene, chamber, &band, &mut samples));
         for k in 0..6 {
             let sum: f64 = samples.iter().map(|s| s.share[k]).sum();
             let response: f64 = samples.iter().map(|s| s.weight).sum();
@@ -185,7 +210,7 @@ impl Lights {
                 Some(MediumSource::Cfd(_) | MediumSource::Parametric(_)) => false,
                 Some(MediumSource::Spectral(..)) | None => true,
             };
-        Self { samples, glow, lit, plate_k }
+        Self { samples, ends, glow, lit, plate_k }
     }
 
     /// Whether radiances are known.
@@ -208,6 +233,53 @@ impl Lights {
             seen.se_radiance = f64::NAN;
         }
         seen
+    }
+
+    /// The same where the walls of a chamber are told apart, with the coefficients of the walls and of the place outside,
+    /// whose sum is that of the walls.
+    ///
+    /// Each is weighted over the band with the light that leaves its wall, what it mirrors included. A far window mirrors
+    /// the wall opposite the plate.
+    pub fn see_apart(&self, shares: &[Share], ends: &EndShares) -> (Seen, [f64; ENDS]) {
+        let mut seen = self.see(shares);
+        let Some((lights, opposite)) = &self.ends else { return (seen, [0.0; ENDS]) };
+        assert_eq!(shares.len(), ends.shares.len(), "shares of the walls for every share");
+        let (mut by_end, mut contrast, mut radiance) = ([0.0; ENDS], [0.0; ENDS], 0.0);
+        for (g, (sample, light)) in self.samples.iter().zip(lights).enumerate() {
+            let place = g.min(shares.len() - 1);
+            let back = Back::of(&shares[place], &sample.far, &sample.near);
+            let through = sample.near.transmittance * back.again;
+            for end in 0..ENDS {
+                let mirrored = if end == *opposite {
+                    sample.far.reflectance * shares[place].plate * back.walls
+                } else {
+                    0.0
+                };
+                let share = through * (ends.shares[place][end] + mirrored);
+                let more = sample.weight * (light.radiance[end] - sample.radiance[1]);
+                by_end[end] += light.share[end] * share;
+                contrast[end] += through * more;
+                radiance += share * more;
+            }
+        }
+        seen.walls = by_end.iter().sum();
+        seen.radiance += radiance;
+        let error: f64 = contrast.iter().zip(&ends.se).map(|(c, se)| (c * se).powi(2)).sum();
+        seen.se_radiance = seen.se_radiance.hypot(error.sqrt());
+        (seen, by_end)
+    }
+
+    /// Coefficients of the walls and of the place outside in one spectral group; of a gray medium those of the band.
+    pub fn ends_of_group(&self, shares: &[Share], ends: &EndShares, group: usize) -> [f64; ENDS] {
+        let (Some((_, opposite)), true) = (&self.ends, shares.len() > 1) else {
+            return self.see_apart(shares, ends).1;
+        };
+        let Sample { near, far, .. } = &self.samples[group];
+        let back = Back::of(&shares[group], far, near);
+        let through = near.transmittance * back.again;
+        let mut by_end = ends.shares[group].map(|share| through * share);
+        by_end[*opposite] += through * far.reflectance * shares[group].plate * back.walls;
+        by_end
     }
 
     /// Coefficients of one spectral group, its own sum being 1; of a gray medium those of the band.
@@ -303,6 +375,66 @@ impl Lights {
             .sum();
         seen
     }
+}
+
+/// The walls of a chamber one by one, and the wall opposite the plate. Into the samples go what the plate shines with what
+/// it mirrors, and the walls' mean.
+fn ends(
+    scene: &Scene,
+    source: &ChamberSource,
+    band: &Band,
+    samples: &mut [Sample],
+) -> (Vec<EndSample>, usize) {
+    let chamber = &source.chamber;
+    let plate = scene.plate.as_ref().and_then(|p| Plate::new(&p.shape).ok());
+    let enclosure = Enclosure::new(chamber, plate.as_ref());
+    let middle = [0, 1, 2].map(|a: usize| 0.5 * (chamber.lower_m()[a] + chamber.upper_m()[a]));
+    let opposite = plate.as_ref().map_or(0, |p| chamber.end(middle, p.facing()));
+    let emissivity = source.walls.map(|w| w.emissivity);
+    let windowed = scene.windows.far.is_some();
+    let laboratory = scene.plate.as_ref().is_some_and(|p| p.mirrors == Some(PlateMirrors::Laboratory));
+    let mut lights: Vec<EndSample> = samples
+        .iter_mut()
+        .zip(&band.wavelengths_um)
+        .map(|(sample, &um)| {
+            let mut sources = [0.0; SOURCES];
+            for (to, wall) in sources.iter_mut().zip(&source.walls) {
+                *to = photon_radiance(um, wall.temperature_k);
+            }
+            sources[BEYOND] = photon_radiance(um, source.outside_k);
+            // Through a far window the chamber sees the plate, the glass, and itself.
+            let far = sample.far;
+            // A plate that mirrors the laboratory looks black to the walls: what it mirrors is its own light.
+            let absorbs = match (windowed, laboratory) {
+                (true, _) => (1.0 - far.reflectance).max(f64::MIN_POSITIVE),
+                (false, true) => 1.0,
+                (false, false) => sample.emissivity,
+            };
+            sources[PLATE] = if windowed {
+                (far.transmittance * sample.radiance[0] + far.absorptance * sample.radiance[4]) / absorbs
+            } else if laboratory {
+                sample.radiance[0]
+            } else {
+                let kelvin = scene.plate.as_ref().and_then(|p| p.temperature_k);
+                kelvin.map_or(0.0, |t| photon_radiance(um, t))
+            };
+            let (radiance, lit_plate) = enclosure.radiosity(&emissivity, absorbs).lit(&sources);
+            if !windowed {
+                sample.radiance[0] = lit_plate;
+            }
+            let first = radiance[0];
+            sample.radiance[1] =
+                first + radiance[..SIDES].iter().map(|r| r - first).sum::<f64>() / SIDES as f64;
+            let share = radiance
+                .map(|r| if scene.band.is_some() && r > 0.0 { sample.weight * r } else { sample.weight });
+            EndSample { radiance, share }
+        })
+        .collect();
+    for end in 0..ENDS {
+        let sum: f64 = lights.iter().map(|l| l.share[end]).sum();
+        lights.iter_mut().for_each(|l| l.share[end] /= sum);
+    }
+    (lights, opposite)
 }
 
 /// What comes back from the far window besides the plate and its own light, and how much everything grows by the light

@@ -2,6 +2,7 @@
 
 pub mod compact;
 pub mod deposit;
+pub mod enclosure;
 pub mod field;
 pub mod file;
 pub mod import;

@@ -6,6 +6,7 @@
 
 use super::bricks::{Bricks, EDGE};
 use super::camera::Sights;
+use super::chamber::{ENDS, SIDES};
 use super::fine::{CELLS, Fine, is_occupied};
 use super::lens::disc;
 use super::paths::{FIRST_DIMENSIONS, MEDIUM, Memory, PLATE, WALLS, World};
@@ -49,6 +50,8 @@ pub(super) struct Cache<S> {
     pub(super) halves: Vec<[[S; 3]; 2]>,
     /// `[leaf · (channels − 1) + channel − 1]`.
     pub(super) others: Vec<S>,
+    /// The walls' sum by walls, `[leaf][half]`; empty unless walls are told apart.
+    pub(super) sides: Vec<[[S; SIDES]; 2]>,
     /// Paths from each leaf.
     pub(super) paths: Vec<u32>,
     /// Paths, scatterings and blocks of all.
@@ -60,10 +63,11 @@ pub(super) struct Cache<S> {
 
 impl<S: Spectrum> Cache<S> {
     /// A cache without paths.
-    pub(super) fn new(leaves: usize, channels: usize) -> Self {
+    pub(super) fn new(leaves: usize, channels: usize, apart: bool) -> Self {
         Self {
             halves: vec![[[S::ZERO; 3]; 2]; leaves],
             others: vec![S::ZERO; leaves * (channels - 1)],
+            sides: vec![[[S::ZERO; SIDES]; 2]; if apart { leaves } else { 0 }],
             paths: vec![0; leaves],
             samples: 0,
             scatterings: 0,
@@ -111,14 +115,19 @@ impl<S: Spectrum> Cache<S> {
         } else {
             (0..count.div_ceil(TASK_LEAVES)).map(|_| Default::default()).collect()
         };
+        let mut sides: Vec<&mut [[[S; SIDES]; 2]]> = if self.sides.is_empty() {
+            (0..count.div_ceil(TASK_LEAVES)).map(|_| Default::default()).collect()
+        } else {
+            self.sides.chunks_mut(TASK_LEAVES).collect()
+        };
         let counted: Vec<[u64; 2]> = self
             .halves
             .par_chunks_mut(TASK_LEAVES)
-            .zip(others.par_iter_mut())
+            .zip(others.par_iter_mut().zip(&mut sides))
             .enumerate()
-            .map(|(task, (halves, others))| {
+            .map(|(task, (halves, (others, sides)))| {
                 let mut memory = Memory::new();
-                let mut rows = vec![S::ZERO; MEDIUM + 1 + extra];
+                let mut rows = vec![S::ZERO; world.rows()];
                 vectorised(
                     #[inline(always)]
                     || {
@@ -129,7 +138,7 @@ impl<S: Spectrum> Cache<S> {
                                 continue;
                             }
                             let cells = members(fine, leaves, owner[leaf], leaf);
-                            for (half, name) in halves.iter_mut().zip(&names) {
+                            for (h, (half, name)) in halves.iter_mut().zip(&names).enumerate() {
                                 rows[..MEDIUM + 1].iter_mut().for_each(|row| *row = S::ZERO);
                                 let mut run = name.from(from);
                                 for _ in from..to {
@@ -137,6 +146,14 @@ impl<S: Spectrum> Cache<S> {
                                 }
                                 for (sum, row) in half.iter_mut().zip([PLATE, WALLS, MEDIUM]) {
                                     *sum = sum.plus(rows[row]);
+                                }
+                                if let Some(sides) = sides.get_mut(i) {
+                                    // Paths begin inside the chamber: nothing ends outside but by rounding.
+                                    let ends = &mut rows[world.first_end()..][..ENDS];
+                                    for (sum, row) in sides[h].iter_mut().zip(&*ends) {
+                                        *sum = sum.plus(*row);
+                                    }
+                                    ends.fill(S::ZERO);
                                 }
                             }
                             for c in 0..extra {

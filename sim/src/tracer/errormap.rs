@@ -72,6 +72,26 @@ impl Job<'_> {
         tell(stats, "error_medium_rms", rms(&operator.error_medium));
         operator
     }
+
+    /// The same of the wall that is known least.
+    pub(super) fn ends_error_map(
+        &self,
+        operator: &Operator,
+        summaries: &[Summary],
+        refined: &[Refinement],
+        active: &[usize],
+    ) -> Vec<f32> {
+        let frame = Operator {
+            rows: operator.rows,
+            columns: operator.columns,
+            pixels: operator.pixels.clone(),
+            ..Operator::default()
+        };
+        let of_ends = |s: &Summary| Summary { errors: s.errors_ends.map(|e| [e; ROWS]), ..*s };
+        let summaries: Vec<Summary> = summaries.iter().map(of_ends).collect();
+        let map = self.error_map(frame, &summaries, refined, active, &mut Vec::new());
+        map.error_plate.iter().zip(&map.error_medium).map(|(a, b)| a.max(*b)).collect()
+    }
 }
 
 fn plus(a: [[f32; ROWS]; 2], b: [[f32; ROWS]; 2]) -> [[f32; ROWS]; 2] {

@@ -1,5 +1,6 @@
 //! The pixels of an image from the medium and its in-scattered light: one sight through each, more where the image bends.
 
+use super::ends;
 use super::errormap::with_errors;
 use super::fine::Fine;
 use super::gather::{Field, Light, Sight};
@@ -29,6 +30,8 @@ pub(super) struct Summary {
     pub(super) shown: [f32; ROWS],
     /// Noise and bias of plate and medium, single draws.
     pub(super) errors: [[f32; ROWS]; 2],
+    /// The same of the wall that is known least.
+    pub(super) errors_ends: [f32; 2],
     pub(super) met: bool,
     pub(super) sights: u32,
     pub(super) cells: u32,
@@ -46,6 +49,8 @@ impl Job<'_> {
         let field = Field {
             fine,
             plate: self.frame.plate,
+            // Images whose walls are told apart are not gathered here.
+            chamber: None,
             light: lit.map(|lit| Light::new(fine, &lit.scattered, &lit.leaves)),
         };
         let sparse = self.frame.pixel_in_cells(&fine.bricks) <= PIXEL_MAX;
@@ -175,7 +180,7 @@ impl Job<'_> {
             let sights = self.sights_together(fine, pieces, plate_seen, jobs, errors);
             return sights.iter().map(Sight::widened).collect();
         }
-        let mut sights: Vec<Sight<S>> = jobs.iter().map(|_| Sight::new(field.fine.channels)).collect();
+        let mut sights: Vec<Sight<S>> = jobs.iter().map(|_| Sight::new(field.fine.channels, false)).collect();
         vectorised(
             #[inline(always)]
             || {
@@ -206,7 +211,7 @@ impl Job<'_> {
         jobs: &[(u32, usize)],
         errors: bool,
     ) -> Vec<Sight<One>> {
-        let mut sights: Vec<Sight<One>> = jobs.iter().map(|_| Sight::new(fine.channels)).collect();
+        let mut sights: Vec<Sight<One>> = jobs.iter().map(|_| Sight::new(fine.channels, false)).collect();
         let mut packet = Packet::new(fine.channels);
         let mut owners = [0; LANES];
         vectorised(
@@ -273,9 +278,12 @@ impl Job<'_> {
         active: &[usize],
     ) -> Operator {
         let (groups, channels) = (fine.groups, fine.channels);
-        let width = groups * (1 + 2 * channels);
+        let width = self.width(groups, channels);
         let part = |from: usize, to: usize| -> Vec<f32> {
             let mut out = vec![0.0; active.len() * (to - from)];
+            if from == to {
+                return out;
+            }
             out.par_chunks_mut(1024 * (to - from)).zip(active.par_chunks(1024)).for_each(|(out, active)| {
                 for (out, &i) in out.chunks_exact_mut(to - from).zip(active) {
                     out.copy_from_slice(&values[i * width + from..i * width + to]);
@@ -292,10 +300,9 @@ impl Job<'_> {
             pixels: active.iter().map(|&i| candidates[i]).collect(),
             a_plate: part(0, groups),
             emission: part(groups, groups * (1 + channels)),
-            direct: part(groups * (1 + channels), width),
-            error_plate: Vec::new(),
-            error_medium: Vec::new(),
-            stats: Vec::new(),
+            direct: part(groups * (1 + channels), groups * (1 + 2 * channels)),
+            a_ends: part(groups * (1 + 2 * channels), width),
+            ..Operator::default()
         }
     }
 }
@@ -425,10 +432,18 @@ pub(super) fn finish<S: Spectrum>(sight: &Sight<S>, groups: usize, values: &mut 
             values[(2 + channels + c) * groups + g] = direct * share;
         }
     }
+    let (before, ends) = values.split_at_mut((1 + 2 * channels) * groups);
+    for (end, values) in sight.ends.iter().zip(ends.chunks_exact_mut(groups)) {
+        for (g, value) in values.iter_mut().enumerate() {
+            *value = end.get(g) * share;
+        }
+    }
+    ends::close(ends, &before[..groups], &before[groups..2 * groups]);
     let per_group = 1.0 / narrow(real(groups));
     Summary {
         shown: shown.map(|s| s * per_group),
         errors: sight.errors(groups),
+        errors_ends: sight.ends_errors(groups),
         met: sight.met,
         sights: u32::try_from(sight.sights).unwrap_or(u32::MAX),
         cells: u32::try_from(sight.cells).unwrap_or(u32::MAX),

@@ -7,10 +7,11 @@
 
 use super::bricks::{Brick, EDGE, Segment};
 use super::cache::Leaves;
+use super::chamber::{Chamber, ENDS, SIDES};
 use super::fine::{CELLS, Fine};
 use super::pieces::Pieces;
 use super::plate::Plate;
-use super::reconstruct::{ROWS, Scattered};
+use super::reconstruct::{InLeaf, ROWS, Scattered};
 use super::spectrum::{Spectrum, narrow};
 use super::vector::{Vector, sub};
 use std::any::Any;
@@ -22,6 +23,8 @@ pub(super) const OPAQUE: f32 = 1e-30;
 pub(super) struct Field<'a, S> {
     pub(super) fine: &'a Fine<S>,
     pub(super) plate: Option<&'a Plate>,
+    /// The chamber whose walls are told apart, if they are.
+    pub(super) chamber: Option<&'a Chamber>,
     pub(super) light: Option<Light<'a, S>>,
 }
 
@@ -56,6 +59,10 @@ pub(super) struct Sight<S> {
     pub(super) noise: [S; ROWS],
     /// Error of the reconstruction of plate and channel 0: Σ weight · bias of the cache.
     pub(super) bias: [S; ROWS],
+    /// Shares of the walls and of the place outside, up to a factor that closure gives; empty unless they are told apart.
+    pub(super) ends: Vec<S>,
+    /// Noise and error of the reconstruction of the walls' shares: `[noise, bias][wall]`.
+    ends_errors: [[S; SIDES]; 2],
     /// Whether any sight met a cell.
     pub(super) met: bool,
     /// Weight of the sights added.
@@ -67,7 +74,7 @@ pub(super) struct Sight<S> {
 
 impl<S: Spectrum> Sight<S> {
     /// Nothing collected yet.
-    pub(super) fn new(channels: usize) -> Self {
+    pub(super) fn new(channels: usize, apart: bool) -> Self {
         Self {
             plate: S::ZERO,
             medium: S::ZERO,
@@ -75,6 +82,8 @@ impl<S: Spectrum> Sight<S> {
             extra: vec![[S::ZERO; 2]; channels - 1],
             noise: [S::ZERO; ROWS],
             bias: [S::ZERO; ROWS],
+            ends: vec![S::ZERO; if apart { ENDS } else { 0 }],
+            ends_errors: [[S::ZERO; SIDES]; 2],
             met: false,
             weight: 0.0,
             sights: 0,
@@ -92,6 +101,8 @@ impl<S: Spectrum> Sight<S> {
             extra: self.extra.iter().map(|rows| rows.map(wide)).collect(),
             noise: self.noise.map(wide),
             bias: self.bias.map(wide),
+            ends: self.ends.iter().map(|&s| wide(s)).collect(),
+            ends_errors: self.ends_errors.map(|rows| rows.map(wide)),
             met: self.met,
             weight: self.weight,
             sights: self.sights,
@@ -178,6 +189,10 @@ impl<S: Spectrum> Sight<S> {
         self.direct = self.direct.plus(own);
         if hit.is_some() {
             self.plate = self.plate.plus(through);
+        } else if let Some(chamber) = field.chamber
+            && let Some(end) = self.ends.get_mut(chamber.end(ray.0, direction))
+        {
+            *end = end.plus(through);
         }
         self.met |= cells > 0;
         self.weight += share;
@@ -203,24 +218,7 @@ impl<S: Spectrum> Sight<S> {
             let bricks = (in_brick * (1.0 / EDGE as f64)).round();
             offset[a] = narrow(in_brick - bricks * EDGE as f64);
         }
-        let (weight, moment) = (run.weight, run.moment);
-        let edge = narrow(count_up(run.edge));
-        let mut seen = [inside.share[0][0].times(weight), inside.share[1][0].times(weight)];
-        for a in 0..3 {
-            let (x, s) = (offset[a], narrow(step[a]));
-            // Σ weight · x and Σ weight · (x² − edge²/12) along the run, x moving from the first cell's offset.
-            let first = weight.scaled(x).plus_scaled(moment, s);
-            let second = weight
-                .scaled(x * x - edge * edge / 12.0)
-                .plus_scaled(moment, 2.0 * x * s)
-                .plus_scaled(run.second, s * s);
-            for row in 0..ROWS {
-                let share = &inside.share[row];
-                seen[row] = seen[row].plus_product(share[1 + a], first).plus_product(share[4 + a], second);
-            }
-        }
-        // Steep slopes must not make light negative.
-        seen = [seen[0].not_negative(), seen[1].not_negative()];
+        let seen = run.seen(inside, offset, step);
         self.plate = self.plate.plus(seen[0]);
         self.medium = self.medium.plus(seen[1]);
         let extra = self.extra.len();
@@ -233,6 +231,32 @@ impl<S: Spectrum> Sight<S> {
                 self.bias[row] = self.bias[row].plus_product(run.weight, inside.bias[row]);
             }
         }
+        if self.ends.is_empty() {
+            return;
+        }
+        for (axis, leaves) in light.scattered.sides.iter().enumerate() {
+            let inside = &leaves[run.leaf];
+            let seen = run.seen(inside, offset, step);
+            for row in 0..ROWS {
+                let side = 2 * axis + row;
+                self.ends[side] = self.ends[side].plus(seen[row]);
+                if ERRORS {
+                    let [noise, bias] = &mut self.ends_errors;
+                    noise[side] = noise[side].plus_product(run.weight, inside.noise[row]);
+                    bias[side] = bias[side].plus_product(run.weight, inside.bias[row]);
+                }
+            }
+        }
+    }
+
+    /// Of the walls' shares the largest of what [`Sight::errors`] gives of plate and channel 0: `[noise, bias]`.
+    pub(super) fn ends_errors(&self, groups: usize) -> [f32; 2] {
+        if self.ends.is_empty() {
+            return [0.0; 2];
+        }
+        let scale = 1.0 / self.weight.max(f32::MIN_POSITIVE);
+        let square = |row: &S| row.times(*row).sum() / count(groups);
+        self.ends_errors.map(|rows| rows.iter().map(square).fold(0.0, f32::max).sqrt() * scale)
     }
 
     /// Rms over the groups of noise and of the reconstruction's error, of plate and channel 0: `[noise, bias][row]`.
@@ -270,6 +294,29 @@ impl<S: Spectrum> Run<S> {
             moment: S::ZERO,
             second: S::ZERO,
         }
+    }
+
+    /// What two kinds of light, scattered inside the leaf, add to the sight.
+    #[inline(always)]
+    fn seen(&self, inside: &InLeaf<S>, offset: [f32; 3], step: Vector) -> [S; ROWS] {
+        let (weight, moment) = (self.weight, self.moment);
+        let edge = narrow(count_up(self.edge));
+        let mut seen = [inside.share[0][0].times(weight), inside.share[1][0].times(weight)];
+        for a in 0..3 {
+            let (x, s) = (offset[a], narrow(step[a]));
+            // Σ weight · x and Σ weight · (x² − edge²/12) along the run, x moving from the first cell's offset.
+            let first = weight.scaled(x).plus_scaled(moment, s);
+            let second = weight
+                .scaled(x * x - edge * edge / 12.0)
+                .plus_scaled(moment, 2.0 * x * s)
+                .plus_scaled(self.second, s * s);
+            for row in 0..ROWS {
+                let share = &inside.share[row];
+                seen[row] = seen[row].plus_product(share[1 + a], first).plus_product(share[4 + a], second);
+            }
+        }
+        // Steep slopes must not make light negative.
+        [seen[0].not_negative(), seen[1].not_negative()]
     }
 }
 

@@ -5,6 +5,7 @@
 //! any number of threads, since every random number is a function of (seed, batch, leaf, sample).
 
 use super::camera::Camera;
+use super::chamber::{ENDS, Walls};
 use super::error::TracerError;
 use super::fine::Fine;
 use super::medium::GridMedium;
@@ -37,6 +38,8 @@ pub struct RenderOptions {
     pub scatter: bool,
     /// Upper limit of the number of paths; when it is reached the operator's errors say so.
     pub paths_max: u64,
+    /// What surrounds the medium, which must lie inside.
+    pub walls: Walls,
     /// How far the medium moves during the exposure, in metres; zero: it stands still. The exposure is centred at the
     /// medium's own moment, and the light scattered into the sights is that of this moment: what changes evenly cancels.
     pub motion_m: [f64; 3],
@@ -44,7 +47,14 @@ pub struct RenderOptions {
 
 impl Default for RenderOptions {
     fn default() -> Self {
-        Self { target_error: 1e-3, seed: 1, scatter: true, paths_max: 1 << 28, motion_m: [0.0; 3] }
+        Self {
+            target_error: 1e-3,
+            seed: 1,
+            scatter: true,
+            paths_max: 1 << 28,
+            motion_m: [0.0; 3],
+            walls: Walls::Far,
+        }
     }
 }
 
@@ -163,7 +173,8 @@ impl Job<'_> {
         mut stats: Stats,
     ) -> Operator {
         let pixels = plate_seen.len();
-        let mut operator = if self.frame.spreads() {
+        // Walls that are told apart are found sight by sight.
+        let mut operator = if self.frame.spreads() || self.options.walls.apart().is_some() {
             self.gather_spread(fine, lit, plate_seen, candidates, &mut stats)
         } else {
             self.gather(fine, lit, plate_seen, candidates, &mut stats)
@@ -173,6 +184,11 @@ impl Job<'_> {
         stats.insert(2, ("pixels_skipped".to_owned(), real(pixels - operator.pixels.len())));
         operator.stats = stats;
         operator
+    }
+
+    /// Coefficients of a pixel: plate, emission, direct emission, and ends of rays where walls are told apart.
+    pub(super) fn width(&self, groups: usize, channels: usize) -> usize {
+        groups * (1 + 2 * channels + if self.options.walls.apart().is_some() { ENDS } else { 0 })
     }
 
     /// Into how many each cell is cut along its edges: light that is scattered inside a cell changes over a mean free path,

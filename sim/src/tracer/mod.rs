@@ -2,6 +2,7 @@
 
 pub mod camera;
 pub mod cell;
+pub mod chamber;
 pub mod error;
 pub mod image;
 pub mod lens;
@@ -22,6 +23,7 @@ mod bricks;
 mod cache;
 mod chord;
 mod cuts;
+mod ends;
 mod errormap;
 mod exposure;
 mod fine;

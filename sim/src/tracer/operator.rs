@@ -32,6 +32,13 @@ pub struct Operator {
     pub error_plate: Vec<f32>,
     /// The same of a_medium.
     pub error_medium: Vec<f32>,
+    /// Where walls are told apart, their shares and that of the place outside, which sum to 1 − a_plate − a_medium:
+    /// `[active pixel][end][group]`, the ends as in [`super::chamber::ENDS`]; else empty.
+    pub a_ends: Vec<f32>,
+    /// What each pixel's area sees of the ends when the medium is absent, sum 1 − plate_seen: `[pixel][end]`, or empty.
+    pub ends_seen: Vec<f32>,
+    /// Estimated error of the share of the wall that is known least, `[active pixel]`, or empty.
+    pub error_ends: Vec<f32>,
     /// What was done and what was skipped.
     pub stats: Vec<(String, f64)>,
 }

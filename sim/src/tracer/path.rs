@@ -3,6 +3,7 @@
 //! Forced collisions, implicit capture, expected-value scores of emission and escape along every segment, and aimed rays
 //! at small plates (balance heuristic of E. Veach, 1997).
 
+use super::chamber::{ENDS, OUTSIDE, Walls};
 use super::guess::{Flight, Guess, Tally};
 use super::plate::Plate;
 use super::shape::{Body, Piece};
@@ -27,6 +28,7 @@ const VISITED_DIMENSIONS: usize = 2 << 29;
 pub(super) struct World<'a> {
     pub(super) body: &'a Body<'a>,
     pub(super) plate: Option<&'a Plate>,
+    pub(super) walls: &'a Walls,
     pub(super) origin: Vector,
     pub(super) direction: Vector,
 }
@@ -58,19 +60,45 @@ pub(super) struct Scratch {
 }
 
 impl World<'_> {
-    /// Number of scores: the plate's share and the channels.
+    /// Number of scores: the plate's share, the channels, and the walls' shares where they are told apart.
     pub(super) fn scores(&self) -> usize {
+        self.first_end() + if self.walls.apart().is_some() { ENDS } else { 0 }
+    }
+
+    /// Where the scores of the walls begin.
+    pub(super) fn first_end(&self) -> usize {
         1 + self.body.channels
+    }
+
+    /// How far a ray goes that meets the plate at `hit` or not at all, and on which wall it ends then.
+    #[inline]
+    fn reach(&self, origin: Vector, direction: Vector, hit: Option<f64>) -> (f64, usize) {
+        let far = hit.unwrap_or(f64::INFINITY);
+        match self.walls.chamber().and_then(|chamber| chamber.span(origin, direction)) {
+            Some(span) => (far.min(span.leave.max(0.0)), span.side),
+            None => (far, OUTSIDE),
+        }
+    }
+
+    /// Adds what a segment lets through to the wall on which it ends, if walls are told apart.
+    #[inline]
+    fn ends(&self, scores: &mut [f64], end: usize, through: f64) {
+        if self.walls.apart().is_some() {
+            scores[self.first_end() + end] += through;
+        }
     }
 
     pub(super) fn first(&self) -> FirstSegment {
         let hit = self.plate.and_then(|p| p.hit(self.origin, self.direction));
         let (mut pieces, mut scattered) = (Vec::new(), Vec::new());
-        self.body.pieces(self.origin, self.direction, hit.unwrap_or(f64::INFINITY), &mut pieces);
+        let (far, end) = self.reach(self.origin, self.direction, hit);
+        self.body.pieces(self.origin, self.direction, far, &mut pieces);
         let mut direct = vec![0.0; self.scores()];
         let through = self.collect(&pieces, 1.0, &mut direct, &mut scattered);
         if hit.is_some() {
             direct[0] += through;
+        } else {
+            self.ends(&mut direct, end, through);
         }
         let depth = pieces.iter().map(|p| p.depth).sum();
         FirstSegment { direct, depth, through, pieces, scattered }
@@ -84,7 +112,7 @@ impl World<'_> {
         let (mut depth, mut sum) = (0.0_f64, 0.0);
         for piece in pieces {
             let stopped = (-depth).exp() * -(-piece.depth).exp_m1();
-            for (c, score) in scores[1..].iter_mut().enumerate() {
+            for (c, score) in scores[1..self.first_end()].iter_mut().enumerate() {
                 *score += weight * stopped * self.body.emission_over_extinction(piece, c);
             }
             sum += stopped * piece.albedo;
@@ -147,7 +175,8 @@ impl World<'_> {
             let sine = ((1.0 - cosine) * (1.0 + cosine)).max(0.0).sqrt();
             direction = turn(direction, cosine, sine, TAU * point.coordinate(dimension + 2));
             let plate = self.plate.and_then(|p| p.hit(place, direction).map(|t| (p, t)));
-            self.body.pieces(place, direction, plate.map_or(f64::INFINITY, |p| p.1), pieces);
+            let (far, end) = self.reach(place, direction, plate.map(|p| p.1));
+            self.body.pieces(place, direction, far, pieces);
             let through = self.collect(pieces, weight, &mut tally.scores, scattered);
             if let Some((plate, _)) = plate {
                 // Share of this technique in the balance heuristic, written so that infinite densities stay finite.
@@ -155,6 +184,8 @@ impl World<'_> {
                 let own = self.body.phase.value(cosine) / (4.0 * PI);
                 let share = if aimed > 0.0 { 1.0 / (1.0 + aimed / own) } else { 1.0 };
                 tally.scores[0] += weight * through * share;
+            } else {
+                self.ends(&mut tally.scores, end, weight * through);
             }
             let flight = Flight { origin: place, direction, pieces, scattered, through };
             guess.fly(&flight, cell, weight, tally);
@@ -198,7 +229,8 @@ impl World<'_> {
         let Some(distance) = plate.hit(place, aimed) else { return };
         let own = self.body.phase.value(dot(direction, aimed)) / (4.0 * PI);
         if own > 0.0 {
-            self.body.pieces(place, aimed, distance, pieces);
+            let (far, _) = self.reach(place, aimed, Some(distance));
+            self.body.pieces(place, aimed, far, pieces);
             let depth: f64 = pieces.iter().map(|p| p.depth).sum();
             tally.scores[0] += weight * (-depth).exp() / (1.0 + density / own);
         }

@@ -6,6 +6,7 @@
 
 use super::blocks::Blocks;
 use super::bricks::Segment;
+use super::chamber::{Chamber, ENDS};
 use super::plate::Plate;
 use super::scatter::Scatter;
 use super::sobol::Coordinates;
@@ -42,6 +43,8 @@ pub(super) struct World<'a, S> {
     pub(super) blocks: &'a Blocks<S>,
     pub(super) scatter: &'a Scatter<'a, S>,
     pub(super) plate: Option<&'a Plate>,
+    /// The chamber whose walls are told apart, if they are.
+    pub(super) chamber: Option<&'a Chamber>,
 }
 
 /// A block along a segment.
@@ -71,8 +74,18 @@ impl<S: Spectrum> Memory<S> {
 }
 
 impl<S: Spectrum> World<'_, S> {
+    /// Number of rows: plate, walls, channels, and the ends of rays where walls are told apart.
+    pub(super) fn rows(&self) -> usize {
+        self.first_end() + if self.chamber.is_some() { ENDS } else { 0 }
+    }
+
+    /// Where the rows of the ends begin.
+    pub(super) fn first_end(&self) -> usize {
+        MEDIUM + self.blocks.channels
+    }
+
     /// Follows one path from a scattering at `origin` seen along `direction` with `weight`; adds to `rows` (plate, walls,
-    /// channels) what it collects.
+    /// channels, ends) what it collects.
     #[inline(always)]
     pub(super) fn scattered(
         &self,
@@ -132,6 +145,10 @@ impl<S: Spectrum> World<'_, S> {
                 plate_row = plate_row.plus(weight);
             } else {
                 walls_row = walls_row.plus(weight);
+                if let Some(chamber) = self.chamber {
+                    let end = self.first_end() + chamber.end(origin, direction);
+                    rows[end] = rows[end].plus(weight);
+                }
             }
             if self.blocks.channels > 1 && emitted > 0.0 {
                 self.emission(visits, emitted, narrow(at.get(EMISSION_DIMENSION + order)), rows);

@@ -128,6 +128,35 @@ impl Plate {
         inside.then_some(distance)
     }
 
+    /// Its area in m²; none for a cone.
+    pub(crate) fn area_m2(&self) -> Option<f64> {
+        match self.form {
+            Form::Rectangle { half_width, half_height } => Some(4.0 * half_width * half_height),
+            Form::Disc { radius } => Some(std::f64::consts::PI * radius * radius),
+            Form::Cone { .. } => None,
+        }
+    }
+
+    /// Its unit normal, towards the scene.
+    pub(crate) fn facing(&self) -> Vector {
+        self.facing
+    }
+
+    /// A place on it, uniform over its area for uniform `u` and `v` in (0, 1); the origin for a cone.
+    pub(crate) fn spot(&self, u: f64, v: f64) -> Vector {
+        let (a, b) = match self.form {
+            Form::Rectangle { half_width, half_height } => {
+                ((2.0 * u - 1.0) * half_width, (2.0 * v - 1.0) * half_height)
+            }
+            Form::Disc { radius } => {
+                let (s, c) = (std::f64::consts::TAU * v).sin_cos();
+                (radius * u.sqrt() * c, radius * u.sqrt() * s)
+            }
+            Form::Cone { .. } => (0.0, 0.0),
+        };
+        along(along(self.centre, a, self.across), b, self.upward)
+    }
+
     /// Which of the rays `first` + i · `step` meet the plate (origins and directions of any length). The same as
     /// [`Plate::hit`] but for rounding at the very edge, and without a division.
     #[inline(always)]

@@ -5,13 +5,14 @@
 //! from their scatter, so that they hold whatever the correlations inside one. Results do not depend on the number of
 //! threads; those of a list of rays share the guess, so that a ray's noise depends on the others.
 
+use super::chamber::{ENDS, Walls};
 use super::error::TracerError;
 use super::guess::{self, Family, Guess, Moments, Nothing, Tally};
 use super::path::{FirstSegment, Scratch, World};
 use super::plate::Plate;
 use super::shape::Body;
 use super::sobol::{self, Point};
-use super::vector::{Vector, unit};
+use super::vector::{Vector, along, unit};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
@@ -57,6 +58,8 @@ pub struct RayOptions {
     /// Most collisions per ray, over all its paths: bounds the time in deep media that hardly absorb, where a single
     /// path has thousands. When they are used up the standard errors say how far it got.
     pub collisions_max: u64,
+    /// What surrounds the medium.
+    pub walls: Walls,
 }
 
 /// Default of [`RayOptions::collisions_max`]: about 10 s of one core at 250 ns a collision.
@@ -64,7 +67,13 @@ pub const COLLISIONS_PER_RAY_MAX: u64 = 40_000_000;
 
 impl Default for RayOptions {
     fn default() -> Self {
-        Self { target_error: 1e-4, seed: 1, paths_max: 1 << 22, collisions_max: COLLISIONS_PER_RAY_MAX }
+        Self {
+            target_error: 1e-4,
+            seed: 1,
+            paths_max: 1 << 22,
+            collisions_max: COLLISIONS_PER_RAY_MAX,
+            walls: Walls::Far,
+        }
     }
 }
 
@@ -77,6 +86,11 @@ pub struct RayAnswer {
     pub walls: f64,
     /// Emission of the medium's channels; channel 0 is the coefficient a_medium.
     pub medium: Vec<f64>,
+    /// Shares of the walls one by one and of the place outside, as [`super::chamber::ENDS`] says, with the walls' share as
+    /// their sum; empty unless the walls are told apart.
+    pub ends: Vec<f64>,
+    /// Standard errors of these shares.
+    pub se_ends: Vec<f64>,
     /// Standard error of the plate's share.
     pub se_plate: f64,
     /// Standard error of the walls' share.
@@ -113,7 +127,12 @@ pub fn render_rays(
             let direction = unit(direction)
                 .filter(|_| origin.iter().all(|c| c.is_finite()))
                 .ok_or(TracerError::Geometry { what: "a ray", condition: "a finite origin and direction" })?;
-            Ok(World { body, plate, origin, direction })
+            // Media begin at the wall through which a ray comes in.
+            let enter =
+                options.walls.chamber().and_then(|c| c.span(origin, direction)).map_or(0.0, |s| s.enter);
+            let hidden = plate.and_then(|p| p.hit(origin, direction)).is_some_and(|hit| hit < enter);
+            let origin = if enter > 0.0 && !hidden { along(origin, enter, direction) } else { origin };
+            Ok(World { body, plate, walls: &options.walls, origin, direction })
         })
         .collect::<Result<_, _>>()?;
     let limits = Limits::new(rays.len(), options);
@@ -122,8 +141,9 @@ pub fn render_rays(
         .zip(numbers())
         .map(|(world, number)| {
             let first = world.first();
-            // Nothing to find: no plate, and a medium that does not emit.
-            if first.scatters() <= 0.0 || (plate.is_none() && body.is_conservative()) {
+            // Nothing to find: no plate, a medium that does not emit, and walls that are all alike.
+            let dark = plate.is_none() && body.is_conservative() && options.walls.apart().is_none();
+            if first.scatters() <= 0.0 || dark {
                 return State::Done(Run::new(world, &first, &limits).answer(&first));
             }
             let mut run = Run::new(world, &first, &limits);
@@ -301,18 +321,21 @@ struct Run<'a> {
     worst_before: f64,
 }
 
-/// Standard errors of plate, walls and channels.
+/// Standard errors of plate, walls, channels and walls one by one.
 #[derive(Default)]
 struct Errors {
     plate: f64,
     walls: f64,
     channels: Vec<f64>,
+    ends: Vec<f64>,
 }
 
 impl<'a> Run<'a> {
     fn new(world: &'a World<'a>, first: &'a FirstSegment, limits: &'a Limits) -> Self {
         let scores = world.scores();
-        let errors = Errors { channels: vec![0.0; scores - 1], ..Errors::default() };
+        let channels = world.first_end() - 1;
+        let ends = vec![0.0; scores - 1 - channels];
+        let errors = Errors { channels: vec![0.0; channels], ends, ..Errors::default() };
         let replicates = vec![Tally::new(scores, 0); REPLICATES as usize];
         Self { world, first, limits, replicates, points: 0, errors, worst_before: f64::INFINITY }
     }
@@ -354,7 +377,8 @@ impl<'a> Run<'a> {
     }
 
     fn worst(&self) -> f64 {
-        self.errors.plate.max(self.errors.walls).max(self.errors.channels[0])
+        let walls = self.errors.ends.iter().copied().fold(self.errors.walls, f64::max);
+        self.errors.plate.max(walls).max(self.errors.channels[0])
     }
 
     /// About how many paths the target needs.
@@ -381,7 +405,10 @@ impl<'a> Run<'a> {
         Errors {
             plate: error(cut, &|r| r.scores[0]),
             walls: error(cut, &|r| r.scores[0] + r.scores[1]),
-            channels: (1..self.world.scores()).map(|c| error(cut_medium, &|r| r.scores[c])).collect(),
+            channels: (1..self.world.first_end()).map(|c| error(cut_medium, &|r| r.scores[c])).collect(),
+            ends: (self.world.first_end()..self.world.scores())
+                .map(|k| error(cut, &|r| r.scores[k]))
+                .collect(),
         }
     }
 
@@ -393,14 +420,20 @@ impl<'a> Run<'a> {
         let plate = (first.direct[0] + mean(0)).clamp(0.0, 1.0);
         // What a guess leaves of the noise may be negative.
         let mut medium: Vec<f64> =
-            (1..self.world.scores()).map(|c| (first.direct[c] + mean(c)).max(0.0)).collect();
+            (1..self.world.first_end()).map(|c| (first.direct[c] + mean(c)).max(0.0)).collect();
         // Only a_medium is a share; other channels are in the unit of their source.
         // A share below the rounding of 1 keeps its digits.
         medium[0] = medium[0].min(1.0 - plate + 0.5 * f64::EPSILON).min(1.0);
+        let walls = (1.0 - plate - medium[0]).max(0.0);
+        let ends: Vec<f64> = (self.world.first_end()..self.world.scores())
+            .map(|k| (first.direct[k] + mean(k)).max(0.0))
+            .collect();
         RayAnswer {
             plate,
-            walls: (1.0 - plate - medium[0]).max(0.0),
+            walls,
             medium,
+            ends: closed(ends, walls),
+            se_ends: self.errors.ends.clone(),
             se_plate: self.errors.plate,
             se_walls: self.errors.walls,
             se_medium: self.errors.channels.clone(),
@@ -410,4 +443,12 @@ impl<'a> Run<'a> {
             cut: self.replicates.iter().map(|r| r.cut).sum(),
         }
     }
+}
+
+/// Shares of the walls with the sum that closure gives them.
+fn closed(mut ends: Vec<f64>, walls: f64) -> Vec<f64> {
+    let sum: f64 = ends.iter().sum();
+    let even = walls / ENDS as f64;
+    ends.iter_mut().for_each(|share| *share = if sum > 0.0 { *share * (walls / sum) } else { even });
+    ends
 }

@@ -8,6 +8,7 @@
 
 use super::bricks::{EDGE, EDGE_LOG, NONE};
 use super::cache::{Cache, Leaves, owners};
+use super::chamber::SIDES;
 use super::fine::Fine;
 use super::spectrum::{Spectrum, narrow};
 use rayon::prelude::*;
@@ -50,6 +51,9 @@ pub(super) struct Scattered<S> {
     pub(super) leaves: Vec<InLeaf<S>>,
     /// Other channels over channel 0, `[leaf · (channels − 1) + channel − 1]`.
     pub(super) ratio: Vec<S>,
+    /// The walls' shares by pairs of walls, the rows being the lower and the upper one: `[axis][leaf]`; empty unless
+    /// walls are told apart.
+    pub(super) sides: Vec<Vec<InLeaf<S>>>,
 }
 
 /// In-scattered light in one leaf; rows are plate and medium.
@@ -95,16 +99,34 @@ pub(super) fn pure_bias(noise: f32, bias: f32) -> f32 {
 pub(super) fn reconstruct<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, cache: &Cache<S>) -> Scattered<S> {
     let owner = owners(leaves);
     let places: Vec<Place> = places(fine, leaves, &owner);
-    let mut shares: Vec<Shares<S>> = cache.halves.par_iter().with_min_len(256).map(shares).collect();
-    let mut counts: Vec<f32> = cache.paths.par_iter().map(|&n| narrow(f64::from(n))).collect();
+    let of = |shares: Vec<Shares<S>>| shaped(leaves, &owner, &places, shares, &cache.paths);
+    let shares = cache.halves.par_iter().with_min_len(256).map(shares).collect();
+    let sides = (0..if cache.sides.is_empty() { 0 } else { SIDES / 2 })
+        .map(|axis| {
+            let both = cache.halves.par_iter().zip(&cache.sides).with_min_len(256);
+            of(both.map(|(halves, sides)| side_shares(halves, sides, axis)).collect())
+        })
+        .collect();
+    Scattered { leaves: of(shares), ratio: ratios(fine.channels - 1, &places, cache), sides }
+}
+
+/// Shares of two kinds of light, mixed between leaves and given a shape inside each.
+fn shaped<S: Spectrum>(
+    leaves: &Leaves,
+    owner: &[u32],
+    places: &[Place],
+    mut shares: Vec<Shares<S>>,
+    paths: &[u32],
+) -> Vec<InLeaf<S>> {
+    let mut counts: Vec<f32> = paths.par_iter().map(|&n| narrow(f64::from(n))).collect();
     let unknown: Vec<bool> = counts.iter().map(|&c| c <= 0.0).collect();
-    let spread = fill(&owner, leaves.occupied.len(), &mut shares, &counts);
+    let spread = fill(owner, leaves.occupied.len(), &mut shares, &counts);
     let mut mixed_by = vec![0.0_f32; shares.len()];
     for _ in 0..ROUNDS_MAX {
-        let strength = strengths(&owner, &places, &shares, &counts);
+        let strength = strengths(owner, places, &shares, &counts);
         let parts: Vec<f32> = places
             .iter()
-            .zip(counts.iter().zip(&owner))
+            .zip(counts.iter().zip(owner))
             .map(|(place, (count, &o))| {
                 let alpha = strength[o as usize] * place.open;
                 if alpha > 0.0 { alpha / (alpha + count) } else { 0.0 }
@@ -131,7 +153,7 @@ pub(super) fn reconstruct<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, cache: &
     }
     let empty = InLeaf { share: [[S::ZERO; TERMS]; ROWS], noise: [S::ZERO; ROWS], bias: [S::ZERO; ROWS] };
     let mut known =
-        Known { leaves, places: &places, shares: &shares, counts: &counts, done: vec![empty; shares.len()] };
+        Known { leaves, places, shares: &shares, counts: &counts, done: vec![empty; shares.len()] };
     // Large leaves first: small ones beside them look at their slopes.
     for log in 0..=EDGE_LOG {
         let edge = EDGE >> log;
@@ -145,8 +167,8 @@ pub(super) fn reconstruct<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, cache: &
             known.done[leaf] = shape;
         }
     }
-    let leaves = known.done.par_iter().zip(&places).with_min_len(256);
-    let lost: Vec<[S; ROWS]> = leaves.map(|(leaf, place)| lost(leaf, place, &known.done)).collect();
+    let found = known.done.par_iter().zip(places).with_min_len(256);
+    let lost: Vec<[S; ROWS]> = found.map(|(leaf, place)| lost(leaf, place, &known.done)).collect();
     for (i, (leaf, lost)) in known.done.iter_mut().zip(lost).enumerate() {
         leaf.bias = [0, 1].map(|row: usize| leaf.bias[row].plus(lost[row]));
         if unknown[i] {
@@ -154,7 +176,7 @@ pub(super) fn reconstruct<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, cache: &
             leaf.bias = [0, 1].map(|row: usize| leaf.bias[row].plus_scaled(spread[row], 1.0 - mixed_by[i]));
         }
     }
-    Scattered { leaves: known.done, ratio: ratios(fine.channels - 1, &places, cache) }
+    known.done
 }
 
 /// What a quadratic function misses inside a leaf.
@@ -265,6 +287,15 @@ fn shares<S: Spectrum>(halves: &[[S; 3]; 2]) -> Shares<S> {
         let sum = halves[h][0].plus(halves[h][1]).plus(halves[h][2]).sum();
         if sum > 0.0 { divide(halves[h]) } else { whole }
     };
+    [whole, half(0), half(1)]
+}
+
+/// Light from the two walls across an axis divided by plate + walls + medium, as [`shares`].
+fn side_shares<S: Spectrum>(halves: &[[S; 3]; 2], sides: &[[S; SIDES]; 2], axis: usize) -> Shares<S> {
+    let total = [0, 1].map(|h: usize| halves[h][0].plus(halves[h][1]).plus(halves[h][2]));
+    let pair = [0, 1].map(|h: usize| [sides[h][2 * axis], sides[h][2 * axis + 1]]);
+    let whole = [0, 1].map(|row: usize| pair[0][row].plus(pair[1][row]).over(total[0].plus(total[1])));
+    let half = |h: usize| if total[h].sum() > 0.0 { pair[h].map(|side| side.over(total[h])) } else { whole };
     [whole, half(0), half(1)]
 }
 

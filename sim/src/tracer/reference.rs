@@ -5,6 +5,8 @@
 
 use super::blocks::Blocks;
 use super::camera::{Camera, PixelFilter};
+use super::chamber::ENDS;
+use super::ends;
 use super::error::TracerError;
 use super::fine::Fine;
 use super::gather::{Field, Sight};
@@ -64,10 +66,10 @@ pub fn render_reference(
     }
 }
 
-/// One pixel: plate, emission and direct emission by groups; errors; paths.
+/// One pixel: plate, emission, direct emission and ends by groups; errors of plate, medium and the worst end; paths.
 struct Answer {
     values: Vec<f32>,
-    errors: [f32; 2],
+    errors: [f32; 3],
     paths: u64,
     scatterings: u64,
     met: bool,
@@ -83,7 +85,8 @@ fn render<S: Spectrum>(
     let fine = Fine::<S>::new(medium, 1);
     let blocks = Blocks::cells(&fine);
     let scatter = Scatter::new(&medium.phase);
-    let world = World { blocks: &blocks, scatter: &scatter, plate: frame.plate };
+    let chamber = options.walls.apart();
+    let world = World { blocks: &blocks, scatter: &scatter, plate: frame.plate, chamber };
     let candidates = frame.candidates(&fine.bricks, &fine.occupied);
     let wanted: Vec<u32> = match chosen {
         Some(list) => list.iter().copied().filter(|p| candidates.binary_search(p).is_ok()).collect(),
@@ -111,14 +114,19 @@ fn render<S: Spectrum>(
         plate_seen: frame.plate_seen(),
         ..Operator::default()
     };
+    if let Some(chamber) = chamber {
+        operator.ends_seen = frame.ends_seen(chamber, &operator.plate_seen);
+    }
     let (mut paths, mut scatterings) = (0, 0);
     for (&pixel, answer) in wanted.iter().zip(&answers).filter(|(_, answer)| answer.met) {
         operator.pixels.push(pixel);
         operator.a_plate.extend(&answer.values[..groups]);
         operator.emission.extend(&answer.values[groups..groups * (1 + channels)]);
-        operator.direct.extend(&answer.values[groups * (1 + channels)..]);
+        operator.direct.extend(&answer.values[groups * (1 + channels)..groups * (1 + 2 * channels)]);
+        operator.a_ends.extend(&answer.values[groups * (1 + 2 * channels)..]);
         operator.error_plate.push(answer.errors[0]);
         operator.error_medium.push(answer.errors[1]);
+        operator.error_ends.extend(chamber.map(|_| answer.errors[2]));
         paths += answer.paths;
         scatterings += answer.scatterings;
     }
@@ -142,8 +150,8 @@ fn one<S: Spectrum>(
     let (groups, channels) = (fine.groups, fine.channels);
     let (row, column) = (pixel as usize / frame.camera.columns, pixel as usize % frame.camera.columns);
     let centre = frame.camera.pixel_filter == PixelFilter::Centre;
-    let field = Field { fine, plate: frame.plate, light: None };
-    let mut sight = Sight::<S>::new(channels);
+    let field = Field { fine, plate: frame.plate, chamber: world.chamber, light: None };
+    let mut sight = Sight::<S>::new(channels, world.chamber.is_some());
     if frame.spreads() {
         let sequence = Sequence::new(sobol::sequence(options.seed, pixel, u32::MAX));
         let mut run = sequence.from(0);
@@ -158,12 +166,13 @@ fn one<S: Spectrum>(
         }
     }
     let mut memory = Memory::new();
-    let mut replicates = vec![vec![S::ZERO; MEDIUM + channels]; REPLICATES];
+    let rows_count = world.rows();
+    let mut replicates = vec![vec![S::ZERO; rows_count]; REPLICATES];
     // f64 sums of the rows of each replicate: millions of paths would not fit into f32.
-    let width = (MEDIUM + channels) * groups;
+    let width = rows_count * groups;
     let mut sums = vec![vec![0.0_f64; width]; REPLICATES];
     let mut points = 0;
-    let mut errors = [0.0; 2];
+    let mut errors;
     loop {
         let next = if points == 0 { FIRST_POINTS } else { points * 2 };
         for (r, (rows, sums)) in (0..).zip(replicates.iter_mut().zip(&mut sums)) {
@@ -195,7 +204,9 @@ fn one<S: Spectrum>(
             }
         }
         points = next;
-        for (error, row) in errors.iter_mut().zip([PLATE, MEDIUM]) {
+        errors = [0.0; 3];
+        let ends = (world.first_end()..rows_count).map(|row| (2, row));
+        for (kind, row) in [(0, PLATE), (1, MEDIUM)].into_iter().chain(ends) {
             let mut square = 0.0;
             for g in 0..groups {
                 let n = REPLICATES as f64;
@@ -203,7 +214,8 @@ fn one<S: Spectrum>(
                 square +=
                     sums.iter().map(|s| (s[row * groups + g] - mean).powi(2)).sum::<f64>() / (n * (n - 1.0));
             }
-            *error = (square / groups as f64).sqrt() / f64::from(points);
+            let error: f64 = (square / groups as f64).sqrt() / f64::from(points);
+            errors[kind] = error.max(errors[kind]);
         }
         let paths = u64::from(points) * REPLICATES as u64;
         if errors.iter().all(|e| *e <= options.target_error) || paths * 2 > options.paths_max {
@@ -212,7 +224,7 @@ fn one<S: Spectrum>(
     }
     let scale = 1.0 / (f64::from(points) * REPLICATES as f64);
     let total = |k: usize, g: usize| scale * sums.iter().map(|s| s[k * groups + g]).sum::<f64>();
-    let mut values = Vec::with_capacity(groups * (1 + 2 * channels));
+    let mut values = Vec::with_capacity(groups * (1 + 2 * channels + ENDS));
     values.extend((0..groups).map(|g| narrow(total(PLATE, g))));
     for c in 0..channels {
         values.extend((0..groups).map(|g| narrow(total(MEDIUM + c, g))));
@@ -220,6 +232,14 @@ fn one<S: Spectrum>(
     values.extend((0..groups).map(|g| sight.direct.get(g) / sight.weight));
     for [direct, _] in &sight.extra {
         values.extend((0..groups).map(|g| direct.get(g) / sight.weight));
+    }
+    if world.chamber.is_some() {
+        let mut shares: Vec<f32> = (world.first_end()..rows_count)
+            .flat_map(|k| (0..groups).map(move |g| (k, g)))
+            .map(|(k, g)| narrow(total(k, g)))
+            .collect();
+        ends::close(&mut shares, &values[..groups], &values[groups..2 * groups]);
+        values.extend(shares);
     }
     Answer {
         values,

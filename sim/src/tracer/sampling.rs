@@ -6,13 +6,13 @@ use super::cache::{Cache, Leaves, Origin};
 use super::camera::PixelFilter;
 use super::cuts::{Limits, cut};
 use super::fine::{CELLS, Fine};
-use super::gather::{Field, Light};
+use super::gather::{Field, Light, Sight};
 use super::image::{ALBEDO_SHARE, Job, Stats, tell};
 use super::paths::World;
 use super::pixels::sub_sights;
 use super::reconstruct::{ROWS, Scattered, pure_bias, reconstruct};
 use super::scatter::Scatter;
-use super::spectrum::{Spectrum, narrow};
+use super::spectrum::{Spectrum, narrow, vectorised};
 use super::visibility;
 use rayon::prelude::*;
 
@@ -98,9 +98,10 @@ impl Job<'_> {
             let count: usize = fine.occupied.iter().map(|&b| bricks.list[b].blocks()).sum();
             let mut leaves = Leaves { bricks, occupied: fine.occupied.clone(), demand: vec![0.0; count] };
             visibility::demand(fine, &mut leaves, self.frame.sights, self.frame.plate, &probes);
-            let world = World { blocks: &blocks, scatter: &scatter, plate: self.frame.plate };
+            let chamber = self.options.walls.apart();
+            let world = World { blocks: &blocks, scatter: &scatter, plate: self.frame.plate, chamber };
             let origin = Origin { fine, leaves: &leaves, sights: self.frame.sights, seed: self.options.seed };
-            let mut cache = Cache::<S>::new(count, fine.channels);
+            let mut cache = Cache::<S>::new(count, fine.channels, chamber.is_some());
             let mut wanted = (PILOT_DEVIATION / target).powi(2).clamp(PILOT_MIN, PILOT_MAX);
             let mut round = 0;
             // Whether other leaves are called for.
@@ -190,7 +191,8 @@ impl Job<'_> {
         candidates: &[u32],
     ) -> [f64; 2] {
         let light = Light::new(fine, scattered, leaves);
-        let field = Field { fine, plate: self.frame.plate, light: Some(light) };
+        let chamber = self.options.walls.apart();
+        let field = Field { fine, plate: self.frame.plate, chamber, light: Some(light) };
         // An odd stride walks through all columns.
         let stride = (candidates.len() / PROBES).max(1) | 1;
         let jobs: Vec<(u32, usize)> = candidates.iter().step_by(stride).map(|&p| (p, 1)).collect();
@@ -205,7 +207,35 @@ impl Job<'_> {
         };
         let [noise, bias] = [0, 1].map(|kind: usize| [0, 1].map(|row: usize| mean(kind, row)));
         let pure = [0, 1].map(|row: usize| f64::from(pure_bias(narrow(noise[row]), narrow(bias[row]))));
-        [noise[0].max(noise[1]).sqrt(), pure[0].max(pure[1]).sqrt()]
+        let [ends_noise, ends_bias] = self.probe_ends(&field, &jobs);
+        [noise[0].max(noise[1]).max(ends_noise).sqrt(), pure[0].max(pure[1]).max(ends_bias).sqrt()]
+    }
+
+    /// Mean squares of noise and bias of the walls' shares, where they are told apart.
+    fn probe_ends<S: Spectrum>(&self, field: &Field<'_, S>, jobs: &[(u32, usize)]) -> [f64; 2] {
+        if field.chamber.is_none() {
+            return [0.0; 2];
+        }
+        let columns = self.frame.camera.columns;
+        let probed: Vec<[f32; 2]> = jobs
+            .par_iter()
+            .with_min_len(64)
+            .filter_map(|&(pixel, _)| {
+                let mut sight = Sight::<S>::new(field.fine.channels, true);
+                let (row, column) = (pixel as usize / columns, pixel as usize % columns);
+                let ray = self.frame.sights.ray(real(row) + 0.5, real(column) + 0.5);
+                vectorised(
+                    #[inline(always)]
+                    || sight.add::<true>(field, ray, 1.0),
+                );
+                sight.met.then(|| sight.ends_errors(field.fine.groups))
+            })
+            .collect();
+        let mean = |kind: usize| {
+            probed.iter().map(|e| f64::from(e[kind]).powi(2)).sum::<f64>() / real(probed.len().max(1))
+        };
+        let [noise, bias] = [mean(0), mean(1)];
+        [noise, f64::from(pure_bias(narrow(noise), narrow(bias)))]
     }
 }
 

@@ -7,6 +7,8 @@
 //! above the target get twice as many.
 
 use super::camera::PixelFilter;
+use super::chamber::ENDS;
+use super::ends;
 use super::errormap::with_errors;
 use super::exposure::{PIXEL_SHARE, Summary, finish};
 use super::fine::Fine;
@@ -25,6 +27,9 @@ use rayon::prelude::*;
 /// Pairs of sub-sights in each half of a pixel's, at first and at most.
 const PAIRS_MIN: u32 = 2;
 const PAIRS_MAX: u32 = 256;
+
+/// Pairs of pixels that an edge between walls crosses.
+const EDGE_PAIRS: u32 = 16;
 
 /// Pixels to either side over which differences are pooled, and again from where a pixel above the target keeps others
 /// open: an edge far out of focus touches so few sub-sights at its rim that a pixel alone would not find it.
@@ -83,12 +88,15 @@ impl Job<'_> {
         candidates: &[u32],
         stats: &mut Stats,
     ) -> Operator {
+        let chamber = self.options.walls.apart();
+        let ends_seen = chamber.map_or_else(Vec::new, |c| self.frame.ends_seen(c, &plate_seen));
         let field = Field {
             fine,
             plate: self.frame.plate,
+            chamber,
             light: lit.map(|lit| Light::new(fine, &lit.scattered, &lit.leaves)),
         };
-        let width = fine.groups * (1 + 2 * fine.channels);
+        let width = self.width(fine.groups, fine.channels);
         let mut values = vec![0.0_f32; candidates.len() * width];
         let mut halves: Vec<Halves> = Vec::new();
         let mut errors = vec![[0.0_f32; ROWS]; candidates.len()];
@@ -120,7 +128,17 @@ impl Job<'_> {
             }
             pairs = next;
             let squares: Vec<[f32; ROWS]> = halves.iter().map(Halves::square).collect();
+            let before = std::mem::take(&mut open);
+            open.clone_from(&before);
             pool([rows, columns], candidates, &squares, &mut open, &mut errors, tolerance);
+            if chamber.is_some() && pairs < EDGE_PAIRS {
+                // Edges between walls show in none of the errors.
+                let seen = |i: usize| &ends_seen[candidates[i] as usize * ENDS..][..ENDS];
+                open = before
+                    .into_iter()
+                    .filter(|&i| open.binary_search(&i).is_ok() || ends::mixed(seen(i)))
+                    .collect();
+            }
         }
         let summaries: Vec<Summary> = halves.iter().map(|h| h.summary).collect();
         let refined: Vec<Refinement> = errors.iter().map(|&error| Refinement { n: 1, error }).collect();
@@ -135,7 +153,12 @@ impl Job<'_> {
         tell(stats, "error_pixel", rms(0).max(rms(1)));
         let active: Vec<usize> = (0..candidates.len()).filter(|&i| summaries[i].met).collect();
         let operator = self.assemble(fine, plate_seen, candidates, &values, &active);
-        self.error_map(operator, &summaries, &refined, &active, stats)
+        let mut operator = self.error_map(operator, &summaries, &refined, &active, stats);
+        if chamber.is_some() {
+            operator.ends_seen = ends_seen;
+            operator.error_ends = self.ends_error_map(&operator, &summaries, &refined, &active);
+        }
+        operator
     }
 
     /// Some pairs of sub-sights of some pixels: coefficients into `values`, the means of both halves.
@@ -148,7 +171,7 @@ impl Job<'_> {
     ) -> Vec<Halves> {
         let (groups, channels) = (field.fine.groups, field.fine.channels);
         let columns = self.frame.camera.columns;
-        let width = groups * (1 + 2 * channels);
+        let width = self.width(groups, channels);
         let mut parts = [vec![0.0_f32; width], vec![0.0_f32; width]];
         let mut out = Vec::with_capacity(pixels.len());
         vectorised(
@@ -159,7 +182,7 @@ impl Job<'_> {
                     let mut found = [Summary::default(); 2];
                     // One call of the sight for both halves and both of a pair: it is a long piece of code.
                     for half in 0..2 {
-                        let mut sight = Sight::<S>::new(channels);
+                        let mut sight = Sight::<S>::new(channels, field.chamber.is_some());
                         let sequence = Sequence::new(sobol::sequence(self.options.seed, pixel, NAMES[half]));
                         let mut run = sequence.from(pairs.start);
                         let mut at = run.next();
@@ -242,6 +265,9 @@ impl Halves {
             errors: [0, 1].map(|kind: usize| {
                 let mean = |k: usize| 0.5 * (a.errors[kind][k].powi(2) + b.errors[kind][k].powi(2));
                 [0, 1].map(|k: usize| mean(k).sqrt())
+            }),
+            errors_ends: [0, 1].map(|kind: usize| {
+                (0.5 * (a.errors_ends[kind].powi(2) + b.errors_ends[kind].powi(2))).sqrt()
             }),
             met: a.met || b.met,
             sights: a.sights + b.sights,

@@ -259,7 +259,7 @@ impl View<'_> {
             })
             .collect();
         let fine = Fine::<S>::new(medium, 1);
-        let field = Field { fine: &fine, plate: self.frame.plate, light: None };
+        let field = Field { fine: &fine, plate: self.frame.plate, chamber: None, light: None };
         let groups = operator.groups;
         let pixels: Vec<(Vec<[f32; 2]>, f64)> = operator
             .pixels
@@ -274,7 +274,7 @@ impl View<'_> {
                     || {
                         for sub in &subs {
                             let Some(d) = self.plate.seen(sub.ray.0, sub.ray.1) else { continue };
-                            let mut sight = Sight::<S>::new(fine.channels);
+                            let mut sight = Sight::<S>::new(fine.channels, false);
                             sight.add_moved::<false>(&field, sub.ray, sub.moved, 1.0);
                             for (g, sum) in sums.iter_mut().enumerate() {
                                 let through = f64::from(sight.plate.get(g)) / real(subs.len());

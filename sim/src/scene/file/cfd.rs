@@ -27,6 +27,11 @@ impl Scene {
     ///
     /// [`SceneError`] for a spray that cannot be read or made, an unknown fuel, or a scene without band.
     pub fn with_spray(mut self, options: &OpticsOptions) -> Result<Self, SceneError> {
+        let path = match &self.medium {
+            Some(MediumSource::Cfd(source)) => source.scene.clone(),
+            Some(MediumSource::Parametric(source)) => source.scene.clone(),
+            _ => return Ok(self),
+        };
         let made = match &self.medium {
             Some(MediumSource::Cfd(source)) => {
                 let (fuel, field, deposit, notes) = imported(source)?;
@@ -58,7 +63,10 @@ impl Scene {
         self.medium = Some(medium);
         self.optics = Some(report);
         self.notes.extend(notes);
-        Ok(self)
+        match self.medium_outside() {
+            Some(problem) => Err(SceneError::Meaning { path, line: None, problem }),
+            None => Ok(self),
+        }
     }
 }
 

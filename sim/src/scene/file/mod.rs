@@ -5,6 +5,7 @@
 mod band;
 mod camera;
 mod cfd;
+mod chamber;
 mod lens;
 mod media;
 pub mod npy;
@@ -15,6 +16,7 @@ mod tables;
 mod window;
 
 pub use band::{BandSource, Samples};
+pub use chamber::ChamberSource;
 pub use lens::Exposure;
 pub use media::{CfdSource, MediumSource};
 pub use parametric::ParametricSource;
@@ -87,8 +89,10 @@ pub struct Scene {
     pub camera: Option<Camera>,
     /// The black-body plate, if any.
     pub plate: Option<PlateSource>,
-    /// Everything else inside the chamber.
+    /// Everything else inside the chamber; of a chamber whose walls are named one by one, the first of them.
     pub walls: Option<WallSource>,
+    /// The chamber's walls one by one, if it has a box.
+    pub chamber: Option<ChamberSource>,
     /// The spectral band of radiances, if given.
     pub band: Option<BandSource>,
     /// The medium; none where the scene is empty.
@@ -108,11 +112,11 @@ pub struct Scene {
 }
 
 /// The walls and their light.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WallSource {
     /// Temperature in K.
     pub temperature_k: f64,
-    /// Emissivity; inside an isothermal closed chamber it does not matter.
+    /// Emissivity; without `[chamber]` all walls shine as one black body.
     pub emissivity: f64,
 }
 
@@ -176,6 +180,7 @@ impl Reader<'_> {
             camera,
             plate,
             walls,
+            chamber: None,
             band,
             medium,
             exposure,
@@ -186,6 +191,8 @@ impl Reader<'_> {
             deposit: None,
         };
         scene.windows = self.windows(&tables.window, tables.lab.as_ref(), &scene)?;
+        scene.chamber = self.chamber(tables.chamber.as_ref(), &tables.wall, &scene)?;
+        scene.walls = scene.walls.or(scene.chamber.as_ref().map(|c| c.walls[0]));
         let laboratory = scene.plate.as_ref().is_some_and(|p| p.mirrors == Some(PlateMirrors::Laboratory));
         if laboratory && scene.windows.lab_temperature_k.is_none() {
             return Err(

@@ -13,6 +13,9 @@ pub(super) struct SceneTables {
     pub(super) camera: Option<CameraTable>,
     pub(super) plate: Option<PlateTable>,
     pub(super) walls: Option<WallTable>,
+    pub(super) chamber: Option<ChamberTable>,
+    #[serde(default)]
+    pub(super) wall: Vec<SideTable>,
     pub(super) lab: Option<LabTable>,
     pub(super) exposure: Option<ExposureTable>,
     #[serde(default)]
@@ -115,6 +118,38 @@ pub(super) struct WallTable {
     pub(super) temperature_k: f64,
     #[serde(default = "one")]
     pub(super) emissivity: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ChamberTable {
+    pub(super) lower_m: [f64; 3],
+    pub(super) upper_m: [f64; 3],
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SideTable {
+    pub(super) side: Side,
+    pub(super) temperature_k: Option<f64>,
+    pub(super) emissivity: Option<f64>,
+}
+
+/// The walls in the order of [`crate::tracer::chamber::SIDE_NAMES`].
+#[derive(Deserialize, Clone, Copy)]
+pub(super) enum Side {
+    #[serde(rename = "x-")]
+    LowerX,
+    #[serde(rename = "x+")]
+    UpperX,
+    #[serde(rename = "y-")]
+    LowerY,
+    #[serde(rename = "y+")]
+    UpperY,
+    #[serde(rename = "z-")]
+    LowerZ,
+    #[serde(rename = "z+")]
+    UpperZ,
 }
 
 #[derive(Deserialize)]

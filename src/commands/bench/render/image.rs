@@ -195,6 +195,7 @@ fn relit(watch: &Watch<'_>, image: &Operator) -> Result<Figure, TracerError> {
     let seconds = watch.fastest(|| {
         kelvin += 1e-3;
         let light = Lighting {
+            ends: Vec::new(),
             plate: vec![3.0 * kelvin; groups],
             walls: vec![kelvin; groups],
             channel: 0,
