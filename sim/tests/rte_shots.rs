@@ -82,15 +82,13 @@ fn stat(image: &Operator, name: &str) -> Option<f64> {
 #[test]
 fn a_shot_follows_sights_only_and_is_what_a_whole_rendering_gives() {
     let medium = plumes();
-    let options = RenderOptions { target_error: 1e-3, ..RenderOptions::default() };
+    let options = RenderOptions { target_error: 2e-3, ..RenderOptions::default() };
     let shot = factors(&medium, 1.0);
     let mut images = Vec::new();
     let mut shots = [vec![1.0; medium.occupied()], shot.clone()].into_iter();
     let mut take = |image| images.push(image);
     render_shots(&medium, &camera(), Some(&PLATE), &options, &mut shots, &mut take, &|_| {}).unwrap();
     let [mean, same, denser] = &images[..] else { panic!("three images") };
-    // The mean spray once more is the very same image, without a path.
-    assert_eq!((&mean.a_plate, &mean.emission), (&same.a_plate, &same.emission));
     assert!(stat(mean, "paths").unwrap() > 1e4);
     assert!(stat(denser, "paths").is_none() && stat(denser, "sights").unwrap() > 500.0);
 
@@ -106,15 +104,18 @@ fn a_shot_follows_sights_only_and_is_what_a_whole_rendering_gives() {
     let rms = |a: &[f32], b: &[f32]| {
         (a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>() / a.len() as f64).sqrt()
     };
+    // The mean spray once more is the same image but for the rounding of E^f, without a path.
+    let again = rms(&mean.a_plate, &same.a_plate).max(rms(&mean.emission, &same.emission));
+    assert!(again < 1e-6, "{again}");
     let moved = rms(&mean.a_plate, &whole.a_plate);
     let [plate, emission] = [rms(&denser.a_plate, &whole.a_plate), rms(&denser.emission, &whole.emission)];
     let direct = rms(&denser.direct, &whole.direct);
     println!("moved {moved:.1e}, plate {plate:.1e}, emission {emission:.1e}, direct {direct:.1e}");
-    // The shot is far from the mean; what is kept of the mean's light shows no more than the target.
+    // The shot is far from the mean; what is kept of the mean's light shows by an eighth of that.
     assert!(moved > 2e-2, "{moved}");
-    assert!(plate < 2.5e-3 && emission < 2.5e-3, "{plate} {emission}");
+    assert!(plate < 0.13 * moved && emission < 0.13 * moved, "{plate} {emission} of {moved}");
     // The straight part is that of the shot itself but for the pixels' own errors.
-    assert!(direct < 6e-4, "{direct}");
+    assert!(direct < 1.2e-3, "{direct}");
 }
 
 #[test]

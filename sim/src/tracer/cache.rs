@@ -27,6 +27,7 @@ const APERTURE_DIMENSION: usize = 400_000;
 const _: () = assert!(FIRST_DIMENSIONS == 7);
 
 /// The leaves of a medium.
+#[derive(Clone)]
 pub(super) struct Leaves {
     pub(super) bricks: Bricks,
     /// Number in `bricks` of each occupied brick.

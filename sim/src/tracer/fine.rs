@@ -1,7 +1,6 @@
 //! The medium as the straight sights read it: every cell at its own resolution, coefficients in f32.
 
 use super::bricks::{Brick, Bricks, EDGE, NONE};
-use super::error::TracerError;
 use super::medium::{EMPTY, GridMedium};
 use super::spectrum::{One, Spectrum, narrow};
 use rayon::prelude::*;
@@ -9,13 +8,11 @@ use rayon::prelude::*;
 /// Extinction beyond which a cell of any size is opaque in f32; keeps products finite.
 const K_MAX: f64 = 1e30;
 
-/// Largest factor of a shot's density.
-const DENSER_MAX: f32 = 1e6;
-
 /// Cells of a brick.
 pub(super) const CELLS: usize = EDGE * EDGE * EDGE;
 
 /// Coefficients per occupied cell.
+#[derive(Clone)]
 pub(super) struct Fine<S> {
     pub(super) bricks: Bricks,
     /// Number of each occupied brick in `bricks`, in the order of their cells.
@@ -23,7 +20,7 @@ pub(super) struct Fine<S> {
     /// Ordinal of the cell at each place, or [`EMPTY`].
     pub(super) slot: Vec<u32>,
     /// Its ordinal in the medium, `[ordinal]`.
-    original: Vec<u32>,
+    pub(super) original: Vec<u32>,
     /// Extinction in 1/m, and scattering over extinction, `[place]`; zero where nothing is. What is not scattered is
     /// emitted by channel 0.
     pub(super) core: Vec<[S; 2]>,
@@ -125,45 +122,6 @@ impl<S: Spectrum> Fine<S> {
 }
 
 impl<S: Spectrum> Fine<S> {
-    /// The same medium with densities multiplied, one factor per occupied cell of the medium.
-    ///
-    /// # Errors
-    ///
-    /// [`TracerError::Shape`] or [`TracerError::Coefficient`] for factors that do not fit, are negative or undefined.
-    pub(super) fn denser(&self, factors: &[f32]) -> Result<Self, TracerError> {
-        let what = "a shot's factors";
-        let expected = self.original.iter().max().map_or(0, |&o| o as usize + 1);
-        if factors.len() != expected {
-            return Err(TracerError::Shape { what, found: factors.len(), expected });
-        }
-        if let Some(entry) = factors.iter().position(|f| !(0.0..=DENSER_MAX).contains(f)) {
-            let (value, condition) = (f64::from(factors[entry]), "from 0 to 1e6");
-            return Err(TracerError::Coefficient { what, entry, value, condition });
-        }
-        let core = self
-            .core
-            .par_iter()
-            .zip(&self.slot)
-            .with_min_len(CELLS)
-            .map(|(&[k, albedo], &slot)| {
-                if slot == EMPTY {
-                    return [k, albedo];
-                }
-                [k.scaled(factors[self.original[slot as usize] as usize]), albedo]
-            })
-            .collect();
-        Ok(Self {
-            bricks: self.bricks.clone(),
-            occupied: self.occupied.clone(),
-            slot: self.slot.clone(),
-            original: self.original.clone(),
-            core,
-            source: self.source.clone(),
-            channels: self.channels,
-            groups: self.groups,
-        })
-    }
-
     /// Itself, if it holds a single group.
     pub(super) fn single(&self) -> Option<&Fine<One>> {
         (self as &dyn std::any::Any).downcast_ref()

@@ -13,6 +13,7 @@ use super::operator::Operator;
 use super::pixels::Frame;
 use super::plate::{Plate, PlateShape};
 use super::sampling::Lit;
+use super::shots::denser;
 use super::spectrum::{Lane, One, Spectrum};
 use rayon::prelude::*;
 
@@ -91,8 +92,8 @@ pub fn render_image(
 /// their order.
 ///
 /// `shots` gives the factors of each shot on the densities, one per occupied cell in the medium's order. Only the sights
-/// are followed again: what the surroundings of a place scatter into them is that of the medium itself, which admits an
-/// error of the order of the albedo times the change of the optical depth over a mean free path. The statistics of a shot tell its own work.
+/// are followed again; light scattered into them is that of the medium itself, brought in line with the densities around
+/// (module `shots`). The statistics of a shot tell its own work.
 ///
 /// # Errors
 ///
@@ -157,7 +158,7 @@ impl Job<'_> {
         take(self.shown(&fine, lit.as_ref(), plate_seen.clone(), &candidates, stats));
         (self.progress)(1.0);
         for factors in shots {
-            let fine = fine.denser(&factors)?;
+            let (fine, lit) = denser(&fine, lit.as_ref(), &factors)?;
             take(self.shown(&fine, lit.as_ref(), plate_seen.clone(), &candidates, Stats::new()));
         }
         Ok(())

@@ -39,6 +39,7 @@ mod pixels;
 mod reconstruct;
 mod sampling;
 mod scatter;
+mod shots;
 mod sobol;
 mod spectrum;
 mod spread;

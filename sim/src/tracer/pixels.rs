@@ -185,7 +185,11 @@ impl Frame<'_> {
                 let bent = |p: u32| self.second_difference(images, p as usize, reach).map(|s| scale * s);
                 Known {
                     single: if centre { [0.0; 2] } else { bent(p) },
-                    interpolated: interpolated.get(i).copied().flatten(),
+                    interpolated: interpolated
+                        .get(i)
+                        .copied()
+                        .flatten()
+                        .filter(|e| e.iter().all(|v| v.is_finite())),
                     on_edge: !centre && seen > 0.0 && seen < 1.0,
                     settled: settled.get(i).copied().filter(|s| s.n == 0),
                 }

@@ -101,7 +101,7 @@ pub(super) fn spread(pixels: usize) -> Vec<u32> {
     let camera = camera();
     let all = camera.rows * camera.columns;
     let columns = camera.columns;
-    let mut step = (all / pixels.max(1)).max(1);
+    let mut step = all.div_ceil(pixels.max(1)).max(1);
     while (2..=step).any(|d| step.is_multiple_of(d) && columns.is_multiple_of(d)) {
         step += 1;
     }
