@@ -35,7 +35,7 @@ fn plumes() -> GridMedium {
         if k < 0.5 {
             continue;
         }
-        medium.index[place] = medium.k_ext.len() as u32;
+        medium.index[place] = u32::try_from(medium.k_ext.len()).unwrap();
         medium.k_ext.push(k);
         medium.k_sca.push(0.5 * k);
         medium.emission.extend([0.5 * k, 0.5 * k * (1.0 + 0.2 * at[2])]);
@@ -44,6 +44,7 @@ fn plumes() -> GridMedium {
 }
 
 /// Smooth factors with a mean of 1 and a deviation of about 0.2.
+#[expect(clippy::cast_possible_truncation, reason = "factors near 1")]
 fn factors(medium: &GridMedium, shot: f64) -> Vec<f32> {
     let mut out = vec![1.0; medium.occupied()];
     for (place, &ordinal) in medium.index.iter().enumerate().filter(|(_, o)| **o != EMPTY) {

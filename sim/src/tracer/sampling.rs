@@ -27,7 +27,7 @@ const CUTS_MAX: usize = 3;
 
 /// Share of the target beyond which a reconstruction error calls for smaller leaves: those cost new paths, while room for
 /// noise is worth up to five times as many.
-const RECUT: f64 = 0.9;
+const RECUT: f64 = 1.1;
 
 /// Paths of the pilot: as many as bring the noise to twice the target where one path per image has a deviation of 0.5.
 const PILOT_DEVIATION: f64 = 0.25;
@@ -116,8 +116,8 @@ impl Job<'_> {
                 round += 1;
                 let scattered = reconstruct(fine, &leaves, &cache);
                 let errors = self.probe(fine, &scattered, &leaves, candidates);
-                // What is left for noise beside the reconstruction, a third of the target at least.
-                let room = (target * target - errors[1] * errors[1]).max(target * target / 9.0).sqrt();
+                // What is left for noise beside the reconstruction, half of the target at least.
+                let room = (target * target - errors[1] * errors[1]).max(target * target / 4.0).sqrt();
                 let ratio = errors[0] / room;
                 let recut = errors[0] <= target && coarse(errors[1], cuts + 1);
                 if ratio <= 1.0 || recut || round == ROUNDS_MAX || cache.samples >= self.options.paths_max {
