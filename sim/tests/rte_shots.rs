@@ -35,7 +35,7 @@ fn plumes() -> GridMedium {
         if k < 0.5 {
             continue;
         }
-        medium.index[place] = u32::try_from(medium.k_ext.len()).unwrap();
+        medium.index[place] = u32::try_from(medium.k_ext.len()).expect("a small grid");
         medium.k_ext.push(k);
         medium.k_sca.push(0.5 * k);
         medium.emission.extend([0.5 * k, 0.5 * k * (1.0 + 0.2 * at[2])]);
