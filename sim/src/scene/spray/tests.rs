@@ -334,24 +334,24 @@ fn extreme_values_give_finite_fields() {
         ),
         (
             "n-hexadecane",
-            "gas = { pressure_pa = 2e6, temperature_k = 280 }\ninjector = { fuel_temperature_k = 640 }",
+            "gas = { pressure_pa = 2e6, temperature_k = 280 }\ninjector = { fuel_temperature_k = 640 }\ncell_m = 0.003",
         ),
         (
             "n-hexadecane",
             "injector = { fuel_temperature_k = 300 }\ndroplets = { sauter_mean_m = 5e-4, spread = 1.3 }\ncell_m = 0.003",
         ),
-        ("toluene", "droplets = { sauter_mean_m = 5e-7, spread = 20 }\ncell_m = 0.002"),
+        ("toluene", "droplets = { sauter_mean_m = 5e-7, spread = 20 }\ncell_m = 0.004"),
         (
             "isooctane",
-            "injector = { holes = 64, hole_diameter_m = 2e-5, angle_deg = 89, rail_pressure_pa = 5e8 }\ncell_m = 0.002",
+            "injector = { holes = 64, hole_diameter_m = 2e-5, angle_deg = 89, rail_pressure_pa = 5e8 }\ncell_m = 0.004",
         ),
         (
             "isooctane",
-            "plume = { angle_deg = 90 }\nshots = { turbulence = 2, integral_scale = 0.005, mass = 1, angle_deg = 10 }\nshot = 3\ncell_m = 0.002",
+            "plume = { angle_deg = 90 }\nshots = { turbulence = 2, integral_scale = 0.005, mass = 1, angle_deg = 10 }\nshot = 3\ncell_m = 0.004",
         ),
         (
             "isooctane",
-            "injector = { discharge_coefficient = 0.05, velocity_coefficient = 1, hole_diameter_m = 2e-3 }\ncell_m = 0.002",
+            "injector = { discharge_coefficient = 0.05, velocity_coefficient = 1, hole_diameter_m = 2e-3 }\ncell_m = 0.004",
         ),
     ];
     for (fuel, text) in cases {
