@@ -70,8 +70,8 @@ impl Sights {
     /// Joins the operators of one scene, ascending in scale; `offset_k` is the δ of their temperature channels.
     ///
     /// # Errors
-    /// [`RigError::Shape`] when they do not show the same pixels, groups and channels.
-    pub fn new(nodes: Vec<ScaleNode>, offset_k: f64) -> Result<Self, RigError> {
+    /// [`RigError::Shape`] when they do not have the same shape, groups and channels.
+    pub fn new(mut nodes: Vec<ScaleNode>, offset_k: f64) -> Result<Self, RigError> {
         let Some(first) = nodes.first().map(|node| &node.operator) else {
             return Err(RigError::Shape { why: "no density scale was rendered".to_owned() });
         };
@@ -79,12 +79,19 @@ impl Sights {
             let why = format!("one to {} density scales, ascending, are expected", KNOTS_MAX - 2);
             return Err(RigError::Shape { why });
         }
-        let pixels = first.pixels.clone();
         for node in &nodes {
             check_operator(&node.operator, first)?;
         }
         let (rows, columns, groups) = (first.rows, first.columns, first.groups);
         let plate_seen = first.plate_seen.clone();
+        // Which pixels at the edge of the spray are seen to meet it depends on where the tracer looked.
+        let mut pixels: Vec<u32> =
+            nodes.iter().flat_map(|node| node.operator.pixels.iter().copied()).collect();
+        pixels.sort_unstable();
+        pixels.dedup();
+        for node in &mut nodes {
+            node.operator = std::mem::take(&mut node.operator).with_pixels(&pixels);
+        }
         let row_start =
             (0..=rows).map(|row| pixels.partition_point(|&p| (p as usize) < row * columns)).collect();
         let mut sights = Self {
@@ -348,8 +355,8 @@ fn check_operator(op: &Operator, first: &Operator) -> Result<(), RigError> {
         return Err(RigError::Shape { why: "channel 0 (source 1) and 1 (radiance) are needed".to_owned() });
     }
     let inside = op.pixels.iter().all(|&p| (p as usize) < op.rows * op.columns);
-    if op.pixels != first.pixels || !inside || op.pixels.windows(2).any(|pair| pair[0] >= pair[1]) {
-        return Err(RigError::Shape { why: "all scales show the same pixels, ascending".to_owned() });
+    if !inside || op.pixels.windows(2).any(|pair| pair[0] >= pair[1]) {
+        return Err(RigError::Shape { why: "pixels of the image, ascending, are expected".to_owned() });
     }
     Ok(())
 }
@@ -416,6 +423,31 @@ mod tests {
         }
     }
 
+    /// A pixel that one scale did not meet is one through which it is not seen.
+    #[test]
+    fn scales_may_meet_different_pixels() {
+        let mut nodes = nodes();
+        let all = Sights::new(nodes.clone(), 8.0).unwrap();
+        let (groups, channels) = (all.groups(), nodes[0].operator.channels);
+        let op = &mut nodes[1].operator;
+        let gone = op.pixels.remove(0);
+        op.a_plate.drain(..groups);
+        op.emission.drain(..groups * channels);
+        op.direct.drain(..groups * channels);
+        let sights = Sights::new(nodes, 8.0).unwrap();
+        assert_eq!(sights.pixels(), all.pixels());
+        assert_eq!(sights.pixels()[0], gone);
+        let missed = sights.coefficients(0, 0)[2];
+        assert!(missed.plate == f64::from(sights.plate_seen(0)) && missed.medium.weight == 0.0);
+        for i in 1..all.pixels().len() {
+            let knots = 0..all.knot_count();
+            assert!(knots.clone().all(|k| {
+                let [a, b] = [&sights, &all].map(|s| s.coefficients(i, 0)[k]);
+                a.plate == b.plate && a.medium.weight == b.medium.weight
+            }));
+        }
+    }
+
     #[test]
     fn images_of_different_scenes_are_refused() {
         let refused = |change: &dyn Fn(&mut Vec<ScaleNode>)| {
@@ -426,7 +458,7 @@ mod tests {
         assert!(!refused(&|_| {}));
         assert!(refused(&|nodes| nodes.clear()));
         assert!(refused(&|nodes| nodes.swap(0, 1)));
-        assert!(refused(&|nodes| nodes[1].operator.pixels[0] += 1));
+        assert!(refused(&|nodes| nodes[1].operator.pixels.swap(0, 1)));
         assert!(refused(&|nodes| nodes[2].operator.rows += 1));
         assert!(refused(&|nodes| nodes[2].operator.a_plate.truncate(5)));
         assert!(Sights::empty(2, 3, vec![1.0; 5]).is_err());
