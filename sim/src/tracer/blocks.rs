@@ -2,7 +2,7 @@
 
 use super::bricks::{Bricks, EDGE};
 use super::cuts::{Limits, cut};
-use super::fine::{CELLS, Fine, cells, is_occupied};
+use super::fine::{CELLS, Fine, is_occupied};
 use super::spectrum::{Spectrum, narrow};
 use rayon::prelude::*;
 
@@ -46,20 +46,25 @@ fn brick<S: Spectrum>(fine: &Fine<S>, bricks: &Bricks, b: usize, first: usize) -
     let cut = bricks.list[b];
     let extra = fine.channels - 1;
     let (mut core, mut source) = (vec![[S::ZERO; 2]; cut.blocks()], vec![S::ZERO; cut.blocks() * extra]);
+    let low = bricks.at(b).map(|c| c * EDGE);
+    // Cells of the brick inside the box.
+    let [nx, ny, nz] = [0, 1, 2].map(|a| EDGE.min(bricks.cells[a] - low[a]));
     let mut inside = vec![0_u32; cut.blocks()];
-    for (local, _) in cells(bricks, b) {
-        let block = cut.place(local / (EDGE * EDGE), local / EDGE % EDGE, local % EDGE) - cut.first as usize;
-        inside[block] += 1;
-        if !is_occupied(fine.slot[first + local]) {
-            continue;
-        }
-        let o = fine.slot[first + local] as usize;
-        let [k, albedo] = fine.core[first + local];
-        core[block][0] = core[block][0].plus(k);
-        core[block][1] = core[block][1].plus_product(k, albedo);
-        for c in 0..extra {
-            let to = &mut source[block * extra + c];
-            *to = to.plus_product(k, fine.source[o * extra + c]);
+    for row in (0..nx).flat_map(|x| (0..ny).map(move |y| [x, y])) {
+        let start = (row[0] * EDGE + row[1]) * EDGE;
+        for z in 0..nz {
+            let block = cut.place(row[0], row[1], z) - cut.first as usize;
+            inside[block] += 1;
+            let [k, albedo] = fine.core[first + start + z];
+            core[block][0] = core[block][0].plus(k);
+            core[block][1] = core[block][1].plus_product(k, albedo);
+            if extra > 0 && is_occupied(fine.slot[first + start + z]) {
+                let o = fine.slot[first + start + z] as usize;
+                for c in 0..extra {
+                    let to = &mut source[block * extra + c];
+                    *to = to.plus_product(k, fine.source[o * extra + c]);
+                }
+            }
         }
     }
     for (block, [k, albedo]) in core.iter_mut().enumerate() {

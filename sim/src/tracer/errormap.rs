@@ -4,12 +4,14 @@ use super::exposure::Summary;
 use super::image::{Job, Stats, tell};
 use super::operator::Operator;
 use super::pixels::Refinement;
+use super::raster::Raster;
 use super::reconstruct::{ROWS, pure_bias};
 use rayon::prelude::*;
 
 /// Errors are computed for pixels at this distance, and averaged up to that one.
 const ERROR_STRIDE: usize = 4;
 
+/// A multiple of it.
 const ERROR_REACH: usize = 8;
 
 impl Job<'_> {
@@ -24,42 +26,34 @@ impl Job<'_> {
         stats: &mut Stats,
     ) -> Operator {
         let (rows, columns) = (operator.rows, operator.columns);
-        let mut image = vec![[[f32::NAN; ROWS]; 2]; rows * columns];
-        let (mut mean, mut count) = ([[0.0_f32; ROWS]; 2], 0.0_f32);
+        let count = [rows.div_ceil(ERROR_STRIDE), columns.div_ceil(ERROR_STRIDE)];
+        let raster = Raster::new(columns);
+        let mut squares = vec![Sum::NONE; count[0] * count[1]];
         for (&pixel, &i) in operator.pixels.iter().zip(active) {
-            if with_errors(pixel as usize / columns, pixel as usize % columns) {
+            let at = raster.at(pixel);
+            if with_errors(at[0], at[1]) {
                 let square = summaries[i].errors.map(|kind| kind.map(|e| e * e));
-                image[pixel as usize] = square;
-                mean = plus(mean, square);
-                count += 1.0;
+                squares[at[0] / ERROR_STRIDE * count[1] + at[1] / ERROR_STRIDE] = Sum { square, pixels: 1.0 };
             }
         }
-        let mean = mean.map(|kind| kind.map(|m| m / count.max(1.0)));
+        let mean = squares.iter().fold(Sum::NONE, |all, one| all.plus(one));
+        let around = around(&squares, count);
         let spread: Vec<[f32; ROWS]> = operator
             .pixels
             .par_iter()
             .zip(active)
-            .with_min_len(256)
+            .with_min_len(1024)
             .map(|(&pixel, &i)| {
-                let (row, column) = (pixel as usize / columns, pixel as usize % columns);
-                let (mut sum, mut n) = ([[0.0_f32; ROWS]; 2], 0.0_f32);
-                let low = [row, column].map(|i| i.saturating_sub(ERROR_REACH).next_multiple_of(ERROR_STRIDE));
-                for r in (low[0]..(row + ERROR_REACH + 1).min(rows)).step_by(ERROR_STRIDE) {
-                    for c in (low[1]..(column + ERROR_REACH + 1).min(columns)).step_by(ERROR_STRIDE) {
-                        let e = image[r * columns + c];
-                        if !e[0][0].is_nan() {
-                            sum = plus(sum, e);
-                            n += 1.0;
-                        }
-                    }
-                }
-                if n <= 0.0 {
-                    // A lonely pixel between those with errors.
-                    (sum, n) = (mean, 1.0);
-                }
+                let at = raster.at(pixel);
+                let place = at[0] / ERROR_STRIDE * count[1] + at[1] / ERROR_STRIDE;
+                let between = at.map(|i| usize::from(!i.is_multiple_of(ERROR_STRIDE)));
+                let near = &around[2 * between[0] + between[1]][place];
+                // A lonely pixel between those with errors is like all of them.
+                let Sum { square: [noise, bias], pixels } = if near.pixels > 0.0 { *near } else { mean };
+                let n = 1.0 / pixels.max(1.0);
                 [0, 1].map(|k: usize| {
-                    let [noise, bias] = sum.map(|kind| kind[k] / n);
-                    (noise + pure_bias(noise, bias)).sqrt().hypot(refined[i].error[k])
+                    let (noise, bias, area) = (n * noise[k], n * bias[k], refined[i].error[k]);
+                    area.mul_add(area, noise + pure_bias(noise, bias)).sqrt()
                 })
             })
             .collect();
@@ -94,8 +88,40 @@ impl Job<'_> {
     }
 }
 
-fn plus(a: [[f32; ROWS]; 2], b: [[f32; ROWS]; 2]) -> [[f32; ROWS]; 2] {
-    [0, 1].map(|kind: usize| [0, 1].map(|k: usize| a[kind][k] + b[kind][k]))
+/// Squared errors of some pixels.
+#[derive(Clone, Copy)]
+struct Sum {
+    /// `[noise, bias][row]`.
+    square: [[f32; ROWS]; 2],
+    pixels: f32,
+}
+
+impl Sum {
+    const NONE: Self = Self { square: [[0.0; ROWS]; 2], pixels: 0.0 };
+
+    fn plus(&self, other: &Self) -> Self {
+        let square =
+            [0, 1].map(|kind: usize| [0, 1].map(|k: usize| self.square[kind][k] + other.square[kind][k]));
+        Self { square, pixels: self.pixels + other.pixels }
+    }
+}
+
+/// Sums over the pixels with errors up to [`ERROR_REACH`] from those in each square of [`ERROR_STRIDE`]: from its corner,
+/// its upper edge, its left edge, and its inside.
+fn around(squares: &[Sum], [rows, columns]: [usize; 2]) -> [Vec<Sum>; 4] {
+    const REACH: usize = ERROR_REACH / ERROR_STRIDE;
+    // From a place between two pixels with errors one less is in reach on its near side.
+    let sum = |of: &[Sum], step: usize, i: usize, n: usize, at: usize, between: usize| {
+        let (from, to) = (i.saturating_sub(REACH - between), (i + REACH + 1).min(n));
+        (from..to).fold(Sum::NONE, |all, j| all.plus(&of[at - i * step + j * step]))
+    };
+    let across = [0, 1].map(|between| -> Vec<Sum> {
+        (0..rows * columns).map(|at| sum(squares, 1, at % columns, columns, at, between)).collect()
+    });
+    [0, 1, 2, 3].map(|k: usize| {
+        let of = &across[k % 2];
+        (0..rows * columns).map(|at| sum(of, columns, at / columns, rows, at, k / 2)).collect()
+    })
 }
 
 /// Whether a pixel's errors are followed: for one in 16, of which those nearby are averaged.

@@ -9,7 +9,7 @@ use super::interpolation::{PIXEL_MAX, Stencil, estimates, is_first};
 use super::operator::Operator;
 use super::packet::{LANES, Packet};
 use super::pieces::Pieces;
-use super::pixels::{Frame, Refinement, sub_sights};
+use super::pixels::{Frame, Refinement, in_tiles, sub_sights};
 use super::reconstruct::ROWS;
 use super::sampling::Lit;
 use super::spectrum::{One, Spectrum, narrow, vectorised};
@@ -18,6 +18,9 @@ use rayon::prelude::*;
 
 /// Sights of one parallel task.
 const TASK_SIGHTS: usize = 256;
+
+/// Pixels of one, where no sights are followed.
+const TASK_PIXELS: usize = 2048;
 
 /// Share of the target that the means over the pixels may err, rms; where nothing is scattered nothing else errs.
 pub(super) const PIXEL_SHARE: f32 = 0.5;
@@ -55,12 +58,9 @@ impl Job<'_> {
         };
         let sparse = self.frame.pixel_in_cells(&fine.bricks) <= PIXEL_MAX;
         let columns = self.frame.camera.columns;
-        let first: Vec<usize> = (0..candidates.len())
-            .filter(|&i| {
-                let pixel = candidates[i] as usize;
-                !sparse || is_first(pixel / columns, pixel % columns)
-            })
-            .collect();
+        let raster = self.frame.raster();
+        let first: Vec<usize> =
+            (0..candidates.len()).filter(|&i| !sparse || is_first(raster.at(candidates[i]))).collect();
         let mut taken = Taken::new(fine.groups, fine.channels, candidates.len());
         let jobs: Vec<(usize, usize)> = first.iter().map(|&i| (i, 1)).collect();
         self.take(&field, &plate_seen, candidates, &jobs, &mut taken);
@@ -74,7 +74,7 @@ impl Job<'_> {
         let estimates = estimates([rows, columns], candidates, &stencils, &shown);
         for (&pixel, estimate) in candidates.iter().zip(&estimates) {
             match estimate {
-                Some([value, _]) if !is_first(pixel as usize / columns, pixel as usize % columns) => {
+                Some([value, _]) if !is_first(raster.at(pixel)) => {
                     shown[pixel as usize] = *value;
                 }
                 _ => {}
@@ -123,12 +123,9 @@ impl Job<'_> {
 
     /// Where the pixels that are no samples are interpolated from.
     fn stencils(&self, candidates: &[u32]) -> Vec<Option<Stencil>> {
-        let (rows, columns) = (self.frame.camera.rows, self.frame.camera.columns);
-        candidates
-            .par_iter()
-            .with_min_len(1024)
-            .map(|&pixel| Stencil::new(rows, columns, pixel as usize))
-            .collect()
+        let size = [self.frame.camera.rows, self.frame.camera.columns];
+        let raster = self.frame.raster();
+        candidates.par_iter().with_min_len(1024).map(|&pixel| Stencil::new(raster, size, pixel)).collect()
     }
 
     /// Adds the sights of some candidates (their places, and how many per axis); values of an earlier pass give way.
@@ -141,6 +138,7 @@ impl Job<'_> {
         taken: &mut Taken,
     ) {
         let (groups, width) = (field.fine.groups, taken.width);
+        let jobs = in_tiles(self.frame.raster(), jobs, |&(i, _)| candidates[i]);
         let mut values = vec![0.0_f32; jobs.len() * width];
         // A task has about as many sights as any other.
         let sights: usize = jobs.iter().map(|(_, n)| n * n).sum();
@@ -150,7 +148,7 @@ impl Job<'_> {
             .zip(jobs.par_chunks(size))
             .flat_map_iter(|(values, jobs)| {
                 let pixels: Vec<(u32, usize)> = jobs.iter().map(|&(i, n)| (candidates[i], n)).collect();
-                let sights = self.sights(field, plate_seen, &pixels, false);
+                let sights = self.sights(field, plate_seen, &pixels);
                 let finished = sights.iter().zip(values.chunks_exact_mut(width));
                 finished.map(|(s, v)| finish(s, groups, v)).collect::<Vec<_>>()
             })
@@ -167,17 +165,16 @@ impl Job<'_> {
         }
     }
 
-    /// What the sights of some pixels collect; errors of all, or of one pixel in 16.
-    pub(super) fn sights<S: Spectrum>(
+    /// What the sights of some pixels collect; errors of one pixel in 16.
+    fn sights<S: Spectrum>(
         &self,
         field: &Field<'_, S>,
         plate_seen: &[f32],
         jobs: &[(u32, usize)],
-        errors: bool,
     ) -> Vec<Sight<S>> {
         if let Some(fine) = field.fine.single() {
             let pieces = field.light.as_ref().and_then(|light| light.pieces.as_ref());
-            let sights = self.sights_together(fine, pieces, plate_seen, jobs, errors);
+            let sights = self.sights_together(fine, pieces, plate_seen, jobs);
             return sights.iter().map(Sight::widened).collect();
         }
         let mut sights: Vec<Sight<S>> = jobs.iter().map(|_| Sight::new(field.fine.channels, false)).collect();
@@ -189,7 +186,7 @@ impl Job<'_> {
                     let mut k = 0;
                     while k < n * n {
                         let (ray, share) = aims.at(k);
-                        if errors || aims.errors {
+                        if aims.errors {
                             sight.add::<true>(field, ray, share);
                         } else {
                             sight.add::<false>(field, ray, share);
@@ -209,7 +206,6 @@ impl Job<'_> {
         pieces: Option<&Pieces>,
         plate_seen: &[f32],
         jobs: &[(u32, usize)],
-        errors: bool,
     ) -> Vec<Sight<One>> {
         let mut sights: Vec<Sight<One>> = jobs.iter().map(|_| Sight::new(fine.channels, false)).collect();
         let mut packet = Packet::new(fine.channels);
@@ -233,7 +229,7 @@ impl Job<'_> {
                         };
                         let (ray, share) = aims.at(*k);
                         owners[packet.lanes()] = *job;
-                        packet.push(fine, self.frame.plate, ray, share, errors || aims.errors);
+                        packet.push(fine, self.frame.plate, ray, share, aims.errors);
                         *k += 1;
                         if *k == aims.n * aims.n {
                             now = None;
@@ -253,8 +249,7 @@ impl Job<'_> {
     /// The sights through a pixel, `n` per axis.
     #[inline(always)]
     fn aims(&self, pixel: u32, n: usize, plate_seen: &[f32]) -> Aims<'_> {
-        let columns = self.frame.camera.columns;
-        let (row, column) = (pixel as usize / columns, pixel as usize % columns);
+        let [row, column] = self.frame.raster().at(pixel);
         let shares = if n > 1 { self.shares(row, column, n, plate_seen[pixel as usize]) } else { None };
         Aims { frame: &self.frame, row, column, n, shares, errors: with_errors(row, column) }
     }
@@ -337,33 +332,41 @@ impl Taken {
             place[pixel as usize] = i;
         }
         let (values, summaries) = (&self.values, &self.summaries);
-        let found: Vec<(usize, Vec<f32>, bool)> = stencils
-            .par_iter()
+        let found: Vec<(Vec<(usize, bool)>, Vec<f32>)> = stencils
+            .par_chunks(TASK_PIXELS)
             .enumerate()
-            .with_min_len(1024)
-            .filter(|&(i, _)| refined[i].n == 0)
-            .filter_map(|(i, stencil)| {
-                let mut sum = vec![0.0_f32; width];
-                let mut met = false;
-                for (pixel, weight) in stencil.as_ref()?.terms() {
-                    match place[pixel] as usize {
-                        p if p < summaries.len() => {
-                            met |= summaries[p].met;
-                            let from = &values[p * width..(p + 1) * width];
-                            sum.iter_mut().zip(from).for_each(|(s, v)| *s = v.mul_add(weight, *s));
+            .map(|(task, stencils)| {
+                let places = task * TASK_PIXELS..;
+                let left_out = places.zip(stencils).filter(|&(i, _)| refined[i].n == 0);
+                let (mut which, mut found) = (Vec::new(), Vec::new());
+                for (i, stencil) in left_out.filter_map(|(i, stencil)| Some((i, (*stencil)?))) {
+                    let start = found.len();
+                    found.resize(start + width, 0.0_f32);
+                    let sum = &mut found[start..];
+                    let mut met = false;
+                    for (pixel, weight) in stencil.terms() {
+                        match place[pixel] as usize {
+                            p if p < summaries.len() => {
+                                met |= summaries[p].met;
+                                let from = &values[p * width..(p + 1) * width];
+                                sum.iter_mut().zip(from).for_each(|(s, v)| *s = v.mul_add(weight, *s));
+                            }
+                            _ => sum[..groups].iter_mut().for_each(|s| *s += weight * plate_seen[pixel]),
                         }
-                        _ => sum[..groups].iter_mut().for_each(|s| *s += weight * plate_seen[pixel]),
                     }
+                    bounded(sum, groups);
+                    which.push((i, met));
                 }
-                bounded(&mut sum, groups);
-                Some((i, sum, met))
+                (which, found)
             })
             .collect();
-        for (i, sum, met) in &found {
-            self.values[i * width..(i + 1) * width].copy_from_slice(sum);
-            self.summaries[*i].met = *met;
+        for (which, found) in &found {
+            for (&(i, met), sum) in which.iter().zip(found.chunks_exact(width)) {
+                self.values[i * width..(i + 1) * width].copy_from_slice(sum);
+                self.summaries[i].met = met;
+            }
         }
-        found.len()
+        found.iter().map(|(which, _)| which.len()).sum()
     }
 }
 

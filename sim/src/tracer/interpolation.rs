@@ -1,6 +1,7 @@
 //! Pixels that need no sight of their own: where cells are wide against pixels, three pixels in four can be interpolated
 //! from those of even rows and columns, as far as the image is smooth there.
 
+use super::raster::Raster;
 use super::reconstruct::ROWS;
 use super::spectrum::narrow;
 use rayon::prelude::*;
@@ -29,7 +30,7 @@ fn is_sample(row: usize, column: usize) -> bool {
 }
 
 /// Whether a pixel gets a sight to check the interpolation by: one other pixel of each tile.
-fn is_check(row: usize, column: usize) -> bool {
+fn is_check([row, column]: [usize; 2]) -> bool {
     let tile = (row / CHECK_TILE).wrapping_mul(0x9E37_79B1) ^ (column / CHECK_TILE).wrapping_mul(0x85EB_CA77);
     let mixed = (tile ^ (tile >> 15)).wrapping_mul(0x2C1B_3C6D);
     // One of the 16 quarters of the tile, and one of its three pixels that are no samples.
@@ -39,8 +40,8 @@ fn is_check(row: usize, column: usize) -> bool {
 }
 
 /// Whether a pixel is seen first.
-pub(super) fn is_first(row: usize, column: usize) -> bool {
-    is_sample(row, column) || is_check(row, column)
+pub(super) fn is_first(at: [usize; 2]) -> bool {
+    is_sample(at[0], at[1]) || is_check(at)
 }
 
 /// Values and errors of two images at the pixels that can be interpolated.
@@ -53,18 +54,18 @@ pub(super) fn estimates(
     stencils: &[Option<Stencil>],
     images: &[[f32; ROWS]],
 ) -> Vec<Option<[[f32; ROWS]; 2]>> {
-    let mut found: Vec<Option<[[f32; ROWS]; 2]>> = stencils
-        .par_iter()
-        .with_min_len(1024)
-        .map(|stencil| stencil.as_ref().map(|s| s.estimate(images)))
-        .collect();
+    let mut found: Vec<Option<[[f32; ROWS]; 2]>> =
+        stencils.par_iter().with_min_len(1024).map(|stencil| stencil.map(|s| s.estimate(images))).collect();
     let [down, across] = [rows.div_ceil(TILE), columns.div_ceil(TILE)];
+    let raster = Raster::new(columns);
+    let tile = |pixel: u32| {
+        let [row, column] = raster.at(pixel);
+        row / TILE * across + column / TILE
+    };
     let mut tiles = vec![([0.0_f32; ROWS], 0.0_f32); down * across];
-    let tile = |pixel: u32| (pixel as usize / columns / TILE, pixel as usize % columns / TILE);
     for (&pixel, found) in pixels.iter().zip(&found) {
         if let Some([_, error]) = found {
-            let (r, c) = tile(pixel);
-            let (sum, count) = &mut tiles[r * across + c];
+            let (sum, count) = &mut tiles[tile(pixel)];
             for k in 0..ROWS {
                 sum[k] += error[k] * error[k];
             }
@@ -82,27 +83,27 @@ pub(super) fn estimates(
                     count += n;
                 }
             }
-            sum.map(|s| s / count.max(1.0))
+            sum.map(|s| (s / count.max(1.0)).sqrt())
         })
         .collect();
+    let smoothed = |pixel: u32, error: [f32; ROWS]| {
+        let smooth = smooth[tile(pixel)];
+        [0, 1].map(|k: usize| error[k].max(smooth[k]))
+    };
     let mut checks = [const { Vec::<[f32; 2]>::new() }; ROWS];
-    for (&pixel, found) in pixels.iter().zip(&mut found) {
+    let checked = pixels.iter().zip(&found).filter(|&(&pixel, _)| is_check(raster.at(pixel)));
+    for (&pixel, found) in checked {
         let Some([value, error]) = found else { continue };
-        let (r, c) = tile(pixel);
-        let check = is_check(pixel as usize / columns, pixel as usize % columns);
+        let error = smoothed(pixel, *error);
         for k in 0..ROWS {
-            error[k] = error[k].max(smooth[r * across + c][k].sqrt());
-            if check {
-                checks[k].push([error[k], images[pixel as usize][k] - value[k]]);
-            }
+            checks[k].push([error[k], images[pixel as usize][k] - value[k]]);
         }
     }
     let scales = checks.map(Scale::new);
-    found.par_iter_mut().with_min_len(1024).for_each(|found| {
+    found.par_iter_mut().zip(pixels).with_min_len(1024).for_each(|(found, &pixel)| {
         if let Some([_, error]) = found {
-            for k in 0..ROWS {
-                error[k] = scales[k].error(error[k]);
-            }
+            let smooth = smoothed(pixel, *error);
+            *error = [0, 1].map(|k: usize| scales[k].error(smooth[k]));
         }
     });
     found
@@ -153,42 +154,50 @@ impl Scale {
 /// Where a pixel gets its value from: four samples along each of one or two lines.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Stencil {
-    lines: [[usize; 4]; 2],
-    count: usize,
+    pixel: u32,
+    /// From the pixel to the next sample along each line; the same where there is one line.
+    steps: [u32; 2],
 }
 
 impl Stencil {
     /// The samples about a pixel that is none; nothing near the edges of the image.
-    pub(super) fn new(rows: usize, columns: usize, pixel: usize) -> Option<Self> {
-        let (row, column) = (pixel / columns, pixel % columns);
+    pub(super) fn new(raster: Raster, [rows, columns]: [usize; 2], pixel: u32) -> Option<Self> {
+        let wide = u32::try_from(columns).ok()?;
+        let [row, column] = raster.at(pixel);
         let (across, along) = (!column.is_multiple_of(2), !row.is_multiple_of(2));
         let fits = |i: usize, n: usize| i >= 3 && i + 3 < n;
         if (!across && !along) || (across && !fits(column, columns)) || (along && !fits(row, rows)) {
             return None;
         }
-        let line = |step: usize| [pixel - 3 * step, pixel - step, pixel + step, pixel + 3 * step];
-        Some(match (across, along) {
-            (true, true) => Self { lines: [line(columns + 1), line(columns - 1)], count: 2 },
-            (true, false) => Self { lines: [line(1); 2], count: 1 },
-            _ => Self { lines: [line(columns); 2], count: 1 },
-        })
+        let steps = match (across, along) {
+            (true, true) => [wide + 1, wide - 1],
+            (true, false) => [1, 1],
+            _ => [wide, wide],
+        };
+        Some(Self { pixel, steps })
+    }
+
+    fn line(self, step: u32) -> [usize; 4] {
+        [self.pixel - 3 * step, self.pixel - step, self.pixel + step, self.pixel + 3 * step]
+            .map(|p| p as usize)
     }
 
     /// The pixels that it takes values from, with their weights.
-    pub(super) fn terms(&self) -> impl Iterator<Item = (usize, f32)> {
-        let share = if self.count == 2 { 0.5 } else { 1.0 };
-        self.lines
-            .into_iter()
-            .take(self.count)
-            .flat_map(move |line| line.into_iter().zip([OUTER, INNER, INNER, OUTER].map(|w| share * w)))
+    pub(super) fn terms(self) -> impl Iterator<Item = (usize, f32)> {
+        let [one, other] = self.steps;
+        let (lines, share) = if one == other { (1, 1.0) } else { (2, 0.5) };
+        self.steps.into_iter().take(lines).flat_map(move |step| {
+            self.line(step).into_iter().zip([OUTER, INNER, INNER, OUTER].map(|w| share * w))
+        })
     }
 
     /// Value of two images at the pixel, and how far it is from a linear interpolation.
-    fn estimate(&self, images: &[[f32; ROWS]]) -> [[f32; ROWS]; 2] {
+    fn estimate(self, images: &[[f32; ROWS]]) -> [[f32; ROWS]; 2] {
         let (mut value, mut error) = ([0.0; ROWS], [0.0; ROWS]);
+        let lines = self.steps.map(|step| self.line(step).map(|p| images[p]));
         for k in 0..ROWS {
-            let lines = self.lines.map(|line| {
-                let [a, b, c, d] = line.map(|p| images[p][k]);
+            let lines = lines.map(|line| {
+                let [a, b, c, d] = line.map(|image| image[k]);
                 let cubic = INNER * (b + c) + OUTER * (a + d);
                 (cubic, (cubic - 0.5 * (b + c)).abs(), (a - b).abs().max((c - d).abs()).max((b - c).abs()))
             });
@@ -221,7 +230,11 @@ mod tests {
             image(&|r, c| 0.3 + 0.02 * r - 0.01 * c + 1e-3 * (r - 8.0) * (c - 9.0) - 1e-4 * c * c * c);
         let mut inside = 0;
         for pixel in 0..rows * columns {
-            let Some(stencil) = Stencil::new(rows, columns, pixel) else { continue };
+            let Some(stencil) =
+                Stencil::new(Raster::new(columns), [rows, columns], u32::try_from(pixel).unwrap())
+            else {
+                continue;
+            };
             assert!(stencil.terms().all(|(p, _)| is_sample(p / columns, p % columns)));
             let sum: f32 = stencil.terms().map(|(_, w)| w).sum();
             assert!((sum - 1.0).abs() < 1e-6);
@@ -247,7 +260,8 @@ mod tests {
         };
         let images: Vec<[f32; ROWS]> = (0..rows * columns).map(|i| [value(i), 0.0]).collect();
         let pixels: Vec<u32> = (0..).take(rows * columns).collect();
-        let stencils: Vec<_> = (0..rows * columns).map(|i| Stencil::new(rows, columns, i)).collect();
+        let stencils: Vec<_> =
+            pixels.iter().map(|&p| Stencil::new(Raster::new(columns), [rows, columns], p)).collect();
         let found = estimates([rows, columns], &pixels, &stencils, &images);
         // Over the left and the right part, and where nothing happens.
         for (part, low, high) in [(0, 0.7, 1.6), (1, 0.7, 1.6)] {

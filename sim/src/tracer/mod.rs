@@ -36,6 +36,7 @@ mod path;
 mod paths;
 mod pieces;
 mod pixels;
+mod raster;
 mod reconstruct;
 mod sampling;
 mod scatter;

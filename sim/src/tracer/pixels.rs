@@ -3,6 +3,7 @@
 use super::bricks::{Bricks, EDGE};
 use super::camera::{Camera, PixelFilter, Sights};
 use super::plate::Plate;
+use super::raster::Raster;
 use super::spectrum::{narrow, vectorised};
 use super::vector::Vector;
 use rayon::prelude::*;
@@ -36,6 +37,10 @@ pub(super) struct Frame<'a> {
 }
 
 impl Frame<'_> {
+    pub(super) fn raster(&self) -> Raster {
+        Raster::new(self.camera.columns)
+    }
+
     /// The pixels whose area meets the projection of an occupied brick, ascending.
     #[expect(
         clippy::cast_possible_truncation,
@@ -95,18 +100,20 @@ impl Frame<'_> {
             }
         });
         // A plate smaller than a pixel may miss all corners, but not its own centre.
+        let raster = self.raster();
         let centre = self.plate.and_then(Plate::centre).and_then(|c| self.sights.project(c));
-        let around = |pixel: usize| {
-            let (row, column) = (real(pixel / columns), real(pixel % columns));
-            centre.is_some_and(|(r, c)| (r - row - 0.5).abs() < 1.0 && (c - column - 0.5).abs() < 1.0)
+        let around = |row: usize, column: usize| {
+            centre.is_some_and(|(r, c)| {
+                (r - real(row) - 0.5).abs() < 1.0 && (c - real(column) - 0.5).abs() < 1.0
+            })
         };
         (0..rows * columns)
             .into_par_iter()
             .with_min_len(1024)
             .map(|i| {
-                let (row, column) = (i / columns, i % columns);
+                let [row, column] = raster.at(index(i));
                 let at = [0, 1, columns + 1, columns + 2].map(|k| corners[row * (columns + 1) + column + k]);
-                if at.iter().all(|&c| c == at[0]) && !around(i) {
+                if at.iter().all(|&c| c == at[0]) && !around(row, column) {
                     return f32::from(u8::from(at[0]));
                 }
                 let hits = sub_sights(row, column, EDGE_SIGHTS).filter(|&(r, c)| self.sees(r, c)).count();
@@ -134,9 +141,10 @@ impl Frame<'_> {
     }
 
     /// Largest second difference of two images at a pixel over `reach` pixels, across it in four directions.
-    fn second_difference(&self, images: &[[f32; 2]], pixel: usize, reach: usize) -> [f32; 2] {
+    fn second_difference(&self, images: &[[f32; 2]], pixel: u32, reach: usize) -> [f32; 2] {
         let (rows, columns) = (self.camera.rows, self.camera.columns);
-        let (row, column) = (pixel / columns, pixel % columns);
+        let [row, column] = self.raster().at(pixel);
+        let pixel = pixel as usize;
         let mut most = [0.0_f32; 2];
         let inner = |i: usize, n: usize| i >= reach && i + reach < n;
         let (inner_row, inner_column) = (inner(row, rows), inner(column, columns));
@@ -182,7 +190,7 @@ impl Frame<'_> {
             .with_min_len(1024)
             .map(|(i, &p)| {
                 let seen = plate_seen[p as usize];
-                let bent = |p: u32| self.second_difference(images, p as usize, reach).map(|s| scale * s);
+                let bent = |p: u32| self.second_difference(images, p, reach).map(|s| scale * s);
                 Known {
                     single: if centre { [0.0; 2] } else { bent(p) },
                     interpolated: interpolated
@@ -268,6 +276,38 @@ pub(super) struct Refinement {
 /// Stratified sights average edges at the rate n^(3/2) of their number per axis.
 fn power(n: usize) -> f32 {
     narrow(real(n) * real(n).sqrt())
+}
+
+/// Rows and columns of a tile of pixels whose sights run through the same cells. Samples of every other column of it fill a
+/// packet.
+const TILE: [usize; 2] = [16, 32];
+
+/// Things that belong to pixels (each told by `pixel`) tile by tile, in their order within each: one row after the other
+/// would run through more cells than caches hold before it comes back to the same ones.
+pub(super) fn in_tiles<T: Copy>(raster: Raster, things: &[T], pixel: impl Fn(&T) -> u32) -> Vec<T> {
+    let across = raster.columns().div_ceil(TILE[1]);
+    let tile = |thing: &T| {
+        let [row, column] = raster.at(pixel(thing));
+        row / TILE[0] * across + column / TILE[1]
+    };
+    let mut starts: Vec<usize> = Vec::new();
+    for thing in things {
+        let tile = tile(thing);
+        if starts.len() < tile + 2 {
+            starts.resize(tile + 2, 0);
+        }
+        starts[tile + 1] += 1;
+    }
+    for tile in 1..starts.len() {
+        starts[tile] += starts[tile - 1];
+    }
+    let mut sorted = things.to_vec();
+    for thing in things {
+        let next = &mut starts[tile(thing)];
+        sorted[*next] = *thing;
+        *next += 1;
+    }
+    sorted
 }
 
 /// Positions of `n`² sub-sights in a pixel.

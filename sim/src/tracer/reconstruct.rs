@@ -96,11 +96,27 @@ pub(super) fn pure_bias(noise: f32, bias: f32) -> f32 {
     (-BIAS_NOISE).mul_add(noise, bias).max(0.0)
 }
 
+/// The leaves of a medium and what lies beside each.
+pub(super) struct Places<'a> {
+    leaves: &'a Leaves,
+    /// The occupied brick of each leaf.
+    owner: Vec<u32>,
+    list: Vec<Place>,
+    channels: usize,
+}
+
+impl<'a> Places<'a> {
+    pub(super) fn new<S: Spectrum>(fine: &Fine<S>, leaves: &'a Leaves) -> Self {
+        let owner = owners(leaves);
+        let list = places(fine, leaves, &owner);
+        Self { leaves, owner, list, channels: fine.channels }
+    }
+}
+
 /// The source function of every leaf from the cache's sums.
-pub(super) fn reconstruct<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, cache: &Cache<S>) -> Scattered<S> {
-    let owner = owners(leaves);
-    let places: Vec<Place> = places(fine, leaves, &owner);
-    let of = |shares: Vec<Shares<S>>| shaped(leaves, &owner, &places, shares, &cache.paths);
+pub(super) fn reconstruct<S: Spectrum>(places: &Places<'_>, cache: &Cache<S>) -> Scattered<S> {
+    let Places { leaves, owner, list, channels } = places;
+    let of = |shares: Vec<Shares<S>>| shaped(leaves, owner, list, shares, &cache.paths);
     let shares = cache.halves.par_iter().with_min_len(256).map(shares).collect();
     let sides = (0..if cache.sides.is_empty() { 0 } else { SIDES / 2 })
         .map(|axis| {
@@ -108,7 +124,7 @@ pub(super) fn reconstruct<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, cache: &
             of(both.map(|(halves, sides)| side_shares(halves, sides, axis)).collect())
         })
         .collect();
-    Scattered { leaves: of(shares), ratio: ratios(fine.channels - 1, &places, cache), sides }
+    Scattered { leaves: of(shares), ratio: ratios(channels - 1, list, cache), sides }
 }
 
 /// Shares of two kinds of light, mixed between leaves and given a shape inside each.

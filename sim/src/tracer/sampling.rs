@@ -9,11 +9,11 @@ use super::fine::{CELLS, Fine};
 use super::gather::{Field, Light, Sight};
 use super::image::{ALBEDO_SHARE, Job, Stats, tell};
 use super::paths::World;
-use super::pixels::sub_sights;
-use super::reconstruct::{ROWS, Scattered, pure_bias, reconstruct};
+use super::pixels::{in_tiles, sub_sights};
+use super::reconstruct::{Places, Scattered, pure_bias, reconstruct};
 use super::scatter::Scatter;
 use super::spectrum::{Spectrum, narrow, vectorised};
-use super::visibility;
+use super::visibility::{self, Probes, Views};
 use rayon::prelude::*;
 
 /// Rounds of sampling: a pilot and corrections.
@@ -36,14 +36,11 @@ const PILOT_MIN: f64 = 8192.0;
 
 const PILOT_MAX: f64 = 1_048_576.0;
 
-/// At least so many candidates are used to estimate errors between rounds.
-const PROBES: usize = 8192;
+/// About so many sights are used to estimate errors between rounds.
+const VIEWS: usize = 8192;
 
 /// Target from which fewer sights tell where the camera looks.
 const ROUGH: f64 = 2e-3;
-
-/// Candidates of one parallel task.
-const PROBED: usize = 128;
 
 /// Share of the target that the estimated errors of scattered light may take.
 const MARGIN: f64 = 0.7;
@@ -97,7 +94,8 @@ impl Job<'_> {
             let bricks = cut(fine, limits(LEAF));
             let count: usize = fine.occupied.iter().map(|&b| bricks.list[b].blocks()).sum();
             let mut leaves = Leaves { bricks, occupied: fine.occupied.clone(), demand: vec![0.0; count] };
-            visibility::demand(fine, &mut leaves, self.frame.sights, self.frame.plate, &probes);
+            let views = visibility::demand(fine, &mut leaves, &probes);
+            let places = Places::new(fine, &leaves);
             let chamber = self.options.walls.apart();
             let world = World { blocks: &blocks, scatter: &scatter, plate: self.frame.plate, chamber };
             let origin = Origin { fine, leaves: &leaves, sights: self.frame.sights, seed: self.options.seed };
@@ -114,8 +112,8 @@ impl Job<'_> {
                 cache.add(&origin, &world, wanted.min(left), &told);
                 rounds += 1;
                 round += 1;
-                let scattered = reconstruct(fine, &leaves, &cache);
-                let errors = self.probe(fine, &scattered, &leaves, candidates);
+                let scattered = reconstruct(&places, &cache);
+                let errors = self.probe(fine, &scattered, &leaves, &views, candidates);
                 // What is left for noise beside the reconstruction, half of the target at least.
                 let room = (target * target - errors[1] * errors[1]).max(target * target / 4.0).sqrt();
                 let ratio = errors[0] / room;
@@ -149,8 +147,7 @@ impl Job<'_> {
     }
 
     /// Sights close enough together that no leaf is missed that a pixel can see.
-    fn probes<S: Spectrum>(&self, fine: &Fine<S>, candidates: &[u32]) -> Vec<(f64, f64)> {
-        let columns = self.frame.camera.columns;
+    fn probes<S: Spectrum>(&self, fine: &Fine<S>, candidates: &[u32]) -> Probes<'_> {
         let wide = self.frame.pixel_in_cells(&fine.bricks);
         let centre = self.frame.camera.pixel_filter == PixelFilter::Centre;
         // For a rough image a demand that a few sights gave will do: leaves beside those that were seen get some too.
@@ -169,64 +166,64 @@ impl Job<'_> {
         } else {
             4
         };
-        let mut probes: Vec<(f64, f64)> = candidates
-            .iter()
-            .map(|&p| (p as usize / columns, p as usize % columns))
+        let mut places: Vec<(f64, f64)> = in_tiles(self.frame.raster(), candidates, |&p| p)
+            .into_iter()
+            .map(|p| self.frame.raster().at(p).into())
             // Rows are shifted against each other, so that the sights do not line up with the cells.
             .filter(|&(row, column)| row % stride == 0 && (column + row / stride) % stride == 0)
             .flat_map(|(row, column)| sub_sights(row, column, fine_sights))
             .collect();
+        let even = places.len();
         if self.frame.spreads() {
-            probes.extend(self.frame.beside(&fine.bricks, stride));
+            places.extend(self.frame.beside(&fine.bricks, stride));
         }
-        probes
+        // An odd stride walks through all columns.
+        let stride = (even / VIEWS).max(1) | 1;
+        Probes { sights: self.frame.sights, plate: self.frame.plate, places, even, stride }
     }
 
-    /// Rms noise and reconstruction error over a part of the pixels, the larger ones of plate and medium.
+    /// Rms noise and reconstruction error over the views, the larger ones of plate and medium.
     fn probe<S: Spectrum>(
+        &self,
+        fine: &Fine<S>,
+        scattered: &Scattered<S>,
+        leaves: &Leaves,
+        views: &Views<S>,
+        candidates: &[u32],
+    ) -> [f64; 2] {
+        let [noise, bias] = views.errors(&scattered.leaves, fine.groups);
+        let pure = [0, 1].map(|row: usize| f64::from(pure_bias(narrow(noise[row]), narrow(bias[row]))));
+        let [ends_noise, ends_bias] = self.probe_ends(fine, scattered, leaves, candidates);
+        [noise[0].max(noise[1]).max(ends_noise).sqrt(), pure[0].max(pure[1]).max(ends_bias).sqrt()]
+    }
+
+    /// Mean squares of noise and bias of the walls' shares, where they are told apart.
+    fn probe_ends<S: Spectrum>(
         &self,
         fine: &Fine<S>,
         scattered: &Scattered<S>,
         leaves: &Leaves,
         candidates: &[u32],
     ) -> [f64; 2] {
-        let light = Light::new(fine, scattered, leaves);
         let chamber = self.options.walls.apart();
-        let field = Field { fine, plate: self.frame.plate, chamber, light: Some(light) };
-        // An odd stride walks through all columns.
-        let stride = (candidates.len() / PROBES).max(1) | 1;
-        let jobs: Vec<(u32, usize)> = candidates.iter().step_by(stride).map(|&p| (p, 1)).collect();
-        let probed: Vec<[[f32; ROWS]; 2]> = jobs
-            .par_chunks(PROBED)
-            .flat_map_iter(|jobs| self.sights(&field, &[], jobs, true))
-            .filter(|sight| sight.met)
-            .map(|sight| sight.errors(fine.groups))
-            .collect();
-        let mean = |kind: usize, row: usize| {
-            probed.iter().map(|e| f64::from(e[kind][row]).powi(2)).sum::<f64>() / real(probed.len().max(1))
-        };
-        let [noise, bias] = [0, 1].map(|kind: usize| [0, 1].map(|row: usize| mean(kind, row)));
-        let pure = [0, 1].map(|row: usize| f64::from(pure_bias(narrow(noise[row]), narrow(bias[row]))));
-        let [ends_noise, ends_bias] = self.probe_ends(&field, &jobs);
-        [noise[0].max(noise[1]).max(ends_noise).sqrt(), pure[0].max(pure[1]).max(ends_bias).sqrt()]
-    }
-
-    /// Mean squares of noise and bias of the walls' shares, where they are told apart.
-    fn probe_ends<S: Spectrum>(&self, field: &Field<'_, S>, jobs: &[(u32, usize)]) -> [f64; 2] {
-        if field.chamber.is_none() {
+        if chamber.is_none() {
             return [0.0; 2];
         }
+        let light = Light::new(fine, scattered, leaves);
+        let field = Field { fine, plate: self.frame.plate, chamber, light: Some(light) };
         let columns = self.frame.camera.columns;
-        let probed: Vec<[f32; 2]> = jobs
+        let stride = (candidates.len() / VIEWS).max(1) | 1;
+        let probed: Vec<[f32; 2]> = candidates
             .par_iter()
+            .step_by(stride)
             .with_min_len(64)
-            .filter_map(|&(pixel, _)| {
+            .filter_map(|&pixel| {
                 let mut sight = Sight::<S>::new(field.fine.channels, true);
                 let (row, column) = (pixel as usize / columns, pixel as usize % columns);
                 let ray = self.frame.sights.ray(real(row) + 0.5, real(column) + 0.5);
                 vectorised(
                     #[inline(always)]
-                    || sight.add::<true>(field, ray, 1.0),
+                    || sight.add::<true>(&field, ray, 1.0),
                 );
                 sight.met.then(|| sight.ends_errors(field.fine.groups))
             })
