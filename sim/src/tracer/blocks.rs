@@ -3,7 +3,7 @@
 use super::bricks::{Bricks, EDGE};
 use super::cuts::{Limits, cut};
 use super::fine::{CELLS, Fine, is_occupied};
-use super::spectrum::{Spectrum, narrow};
+use super::spectrum::{Spectrum, narrow, vectorised};
 use rayon::prelude::*;
 
 /// Coefficients per block.
@@ -30,8 +30,17 @@ impl<S: Spectrum> Blocks<S> {
 
     fn of(fine: &Fine<S>, bricks: Bricks) -> Self {
         let extra = fine.channels - 1;
-        let packed: Vec<(Vec<[S; 2]>, Vec<S>)> =
-            fine.occupied.par_iter().enumerate().map(|(i, &b)| brick(fine, &bricks, b, i * CELLS)).collect();
+        let packed: Vec<(Vec<[S; 2]>, Vec<S>)> = fine
+            .occupied
+            .par_iter()
+            .enumerate()
+            .map(|(i, &b)| {
+                vectorised(
+                    #[inline(always)]
+                    || brick(fine, &bricks, b, i * CELLS),
+                )
+            })
+            .collect();
         let mut core = Vec::with_capacity(packed.iter().map(|p| p.0.len()).sum());
         let mut source = Vec::with_capacity(core.capacity() * extra);
         for (c, s) in packed {
@@ -42,6 +51,7 @@ impl<S: Spectrum> Blocks<S> {
     }
 }
 
+#[inline(always)]
 fn brick<S: Spectrum>(fine: &Fine<S>, bricks: &Bricks, b: usize, first: usize) -> (Vec<[S; 2]>, Vec<S>) {
     let cut = bricks.list[b];
     let extra = fine.channels - 1;

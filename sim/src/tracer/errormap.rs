@@ -53,7 +53,7 @@ impl Job<'_> {
                 let n = 1.0 / pixels.max(1.0);
                 [0, 1].map(|k: usize| {
                     let (noise, bias, area) = (n * noise[k], n * bias[k], refined[i].error[k]);
-                    area.mul_add(area, noise + pure_bias(noise, bias)).sqrt()
+                    (area * area + noise + pure_bias(noise, bias)).sqrt()
                 })
             })
             .collect();

@@ -349,7 +349,7 @@ impl Taken {
                             p if p < summaries.len() => {
                                 met |= summaries[p].met;
                                 let from = &values[p * width..(p + 1) * width];
-                                sum.iter_mut().zip(from).for_each(|(s, v)| *s = v.mul_add(weight, *s));
+                                sum.iter_mut().zip(from).for_each(|(s, v)| *s += v * weight);
                             }
                             _ => sum[..groups].iter_mut().for_each(|s| *s += weight * plate_seen[pixel]),
                         }

@@ -96,9 +96,9 @@ fn line(
         let (first, half) = (share[1 + a].get(0), share[4 + a].get(0));
         let x = offset[a];
         // The mean over the piece: x² there is offset² + edge²/12.
-        let square = x.mul_add(x, (edge * edge - leaf_edge * leaf_edge) / 12.0);
-        value += first.mul_add(x, half * square);
-        slope[a] = 2.0_f32.mul_add(half * x, first);
+        let square = x * x + (edge * edge - leaf_edge * leaf_edge) / 12.0;
+        value += first * x + half * square;
+        slope[a] = 2.0 * half * x + first;
     }
     // Steep slopes must not make light negative.
     let value = value.max(0.0);

@@ -93,7 +93,7 @@ pub(super) fn centre(leaves: &Leaves, brick: usize, leaf: usize) -> [f64; 3] {
 
 /// The square of the bias without what noise adds to it, from mean squares of noise and bias over many sights.
 pub(super) fn pure_bias(noise: f32, bias: f32) -> f32 {
-    (-BIAS_NOISE).mul_add(noise, bias).max(0.0)
+    (bias - BIAS_NOISE * noise).max(0.0)
 }
 
 /// The leaves of a medium and what lies beside each.
@@ -190,7 +190,7 @@ fn shaped<S: Spectrum>(
         leaf.bias = [0, 1].map(|row: usize| leaf.bias[row].plus(lost[row]));
         if unknown[i] {
             // It may be as far from the mean that it was given as any other, until paths tell.
-            leaf.noise = [0, 1].map(|row: usize| leaf.noise[row].plus_scaled(spread[row], 1.0 - mixed_by[i]));
+            leaf.noise = [0, 1].map(|row: usize| leaf.noise[row].plus(spread[row].scaled(1.0 - mixed_by[i])));
         }
     }
     known.done
@@ -211,7 +211,7 @@ fn lost<S: Spectrum>(leaf: &InLeaf<S>, place: &Place, all: &[InLeaf<S>]) -> [S; 
                 count += 1.0;
             }
             let kink = if count > 0.0 { own.minus(others.scaled(1.0 / count)) } else { own };
-            lost[row] = lost[row].plus_scaled(kink, LOST_KINK).plus_scaled(own, LOST_SMOOTH);
+            lost[row] = lost[row].plus(kink.scaled(LOST_KINK)).plus(own.scaled(LOST_SMOOTH));
         }
     }
     lost
@@ -322,7 +322,7 @@ fn fill<S: Spectrum>(owner: &[u32], bricks: usize, shares: &mut [Shares<S>], cou
     let add = |to: &mut Shares<S>, from: &Shares<S>, weight: f32| {
         for k in 0..3 {
             for row in 0..ROWS {
-                to[k][row] = to[k][row].plus_scaled(from[k][row], weight);
+                to[k][row] = to[k][row].plus(from[k][row].scaled(weight));
             }
         }
     };
@@ -352,7 +352,7 @@ fn fill<S: Spectrum>(owner: &[u32], bricks: usize, shares: &mut [Shares<S>], cou
     for (share, &count) in shares.iter().zip(counts) {
         for row in 0..ROWS {
             let apart = share[0][row].minus(all.0[0][row].scaled(per_path));
-            square[row] = square[row].plus_product(apart.scaled(count * per_path), apart);
+            square[row] = square[row].plus(apart.times(apart).scaled(count * per_path));
         }
     }
     square.map(|s| S::ZERO.signed_hypot(s))
@@ -414,7 +414,7 @@ fn mean_beside<S: Spectrum>(beside: &[u32; 6], shares: &[Shares<S>], counts: &[f
         for k in 0..3 {
             for row in 0..ROWS {
                 let both = shares[low][k][row].plus(shares[high][k][row]);
-                sum[k][row] = sum[k][row].plus_scaled(both, weight);
+                sum[k][row] = sum[k][row].plus(both.scaled(weight));
             }
         }
     }
@@ -473,7 +473,7 @@ impl<S: Spectrum> Known<'_, S> {
                 share[row][1 + axis] = to[0][row].minus(from[0][row]).scaled(1.0 / distance);
                 let differ = to[1][row].minus(from[1][row]).minus(to[2][row].minus(from[2][row]));
                 let differ = differ.scaled(0.5 / distance);
-                wobble[row] = wobble[row].plus_product(differ, differ);
+                wobble[row] = wobble[row].plus(differ.times(differ));
                 if low.is_some() && high.is_some() {
                     let twice = to[0][row].plus(from[0][row]).minus(own[0][row].scaled(2.0));
                     share[row][4 + axis] = twice.scaled(0.5 / (edge * edge));
@@ -518,7 +518,7 @@ impl<S: Spectrum> Known<'_, S> {
                 let apart = narrow(middle[axis]) - self.places[other].centre[axis];
                 for half in &mut shares {
                     for row in 0..ROWS {
-                        half[row] = half[row].plus_scaled(self.done[other].share[row][1 + axis], apart);
+                        half[row] = half[row].plus(self.done[other].share[row][1 + axis].scaled(apart));
                     }
                 }
             }

@@ -1,7 +1,8 @@
 //! The spectral groups of one quantity, in f32: a single number, or eight at a time so that the compiler vectorises.
 //!
 //! All loops of image mode are written once over [`Spectrum`]. A lone group must not pay for eight. Fused products are
-//! one instruction wherever [`vectorised`] finds AVX2 or NEON, and as exact, if slow, elsewhere.
+//! one instruction inside [`vectorised`] where it finds AVX2 or NEON, and as exact, but a slow call, elsewhere: what runs
+//! outside multiplies and adds.
 
 #![expect(clippy::needless_range_loop, reason = "loops over lanes step through several arrays at once")]
 
@@ -99,7 +100,7 @@ impl Spectrum for One {
     }
     #[inline(always)]
     fn signed_hypot(self, square: Self) -> Self {
-        Self(self.0.mul_add(self.0, square.0).sqrt().copysign(self.0))
+        Self((self.0 * self.0 + square.0).sqrt().copysign(self.0))
     }
     #[inline(always)]
     fn split(self, length: f32) -> (Self, Self) {
@@ -208,22 +209,25 @@ impl<const N: usize> Spectrum for [Lane; N] {
         let mut most = self[0].0;
         for n in 1..N {
             for i in 0..8 {
-                let v = self[n].0[i];
-                most[i] = if v > most[i] { v } else { most[i] };
+                most[i] = larger(self[n].0[i], most[i]);
             }
         }
-        let mut half = [0.0_f32; 4];
-        for i in 0..4 {
-            half[i] = if most[i] > most[i + 4] { most[i] } else { most[i + 4] };
-        }
-        half[0].max(half[1]).max(half[2].max(half[3]))
+        let half: [f32; 4] = each(
+            #[inline(always)]
+            |i| larger(most[i], most[i + 4]),
+        );
+        let quarter: [f32; 2] = each(
+            #[inline(always)]
+            |i| larger(half[i], half[i + 2]),
+        );
+        larger(quarter[0], quarter[1])
     }
     #[inline(always)]
     fn signed_hypot(mut self, square: Self) -> Self {
         for n in 0..N {
             for i in 0..8 {
                 let v = self[n].0[i];
-                self[n].0[i] = v.mul_add(v, square[n].0[i]).sqrt().copysign(v);
+                self[n].0[i] = (v * v + square[n].0[i]).sqrt().copysign(v);
             }
         }
         self
@@ -233,9 +237,11 @@ impl<const N: usize> Spectrum for [Lane; N] {
         let mut through = Self::ZERO;
         let mut stopped = Self::ZERO;
         for n in 0..N {
+            let mut tau = self[n].0;
             for i in 0..8 {
-                (through[n].0[i], stopped[n].0[i]) = split(self[n].0[i] * length);
+                tau[i] *= length;
             }
+            (through[n].0, stopped[n].0) = splits(tau);
         }
         (through, stopped)
     }
@@ -263,23 +269,73 @@ impl<const N: usize> Spectrum for [Lane; N] {
 /// below 2e-38.
 #[inline(always)]
 pub(super) fn split(tau: f32) -> (f32, f32) {
-    let clamped = if tau < 87.0 { tau } else { 87.0 };
+    let ([through], [stopped]) = splits([tau]);
+    (through, stopped)
+}
+
+/// The same for many. Every step is taken for all of them before the next one: a loop over the whole function is unrolled
+/// into scalars.
+#[inline(always)]
+fn splits<const N: usize>(tau: [f32; N]) -> ([f32; N], [f32; N]) {
+    let clamped: [f32; N] = each(
+        #[inline(always)]
+        |i| if tau[i] < 87.0 { tau[i] } else { 87.0 },
+    );
     // Adding 1.5·2²³ rounds to an integer, which then stands in the low bits.
-    let shifted = clamped.mul_add(-std::f32::consts::LOG2_E, 12_582_912.0);
-    let whole = shifted - 12_582_912.0;
+    let shifted: [f32; N] = each(
+        #[inline(always)]
+        |i| clamped[i].mul_add(-std::f32::consts::LOG2_E, 12_582_912.0),
+    );
+    let whole: [f32; N] = each(
+        #[inline(always)]
+        |i| shifted[i] - 12_582_912.0,
+    );
     // x = −τ − whole·ln 2 in two parts, so that the rounding of τ·log₂e does not count.
-    let x = whole.mul_add(2.121_944_4e-4, whole.mul_add(-0.693_359_4, -clamped));
+    let x: [f32; N] = each(
+        #[inline(always)]
+        |i| whole[i].mul_add(2.121_944_4e-4, whole[i].mul_add(-0.693_359_4, -clamped[i])),
+    );
     // Taylor terms to x⁶/720: |x| ≤ 0.347 leaves 1.2e-7. q = e^x − 1 keeps thin cells to their last digit.
-    let p = 1.388_888_9e-3_f32;
-    let p = p.mul_add(x, 8.333_334e-3);
-    let p = p.mul_add(x, 4.166_666_6e-2);
-    let p = p.mul_add(x, 0.166_666_67);
-    let p = p.mul_add(x, 0.5);
-    let q = p.mul_add(x * x, x);
-    let scale = f32::from_bits(shifted.to_bits().wrapping_shl(23).wrapping_add(0x3f80_0000));
-    let through = scale.mul_add(q, scale);
-    let stopped = (-scale).mul_add(q, 1.0 - scale);
-    if tau < 87.0 { (through, stopped) } else { (0.0, 1.0) }
+    let q: [f32; N] = each(
+        #[inline(always)]
+        |i| {
+            let x = x[i];
+            let p = 1.388_888_9e-3_f32;
+            let p = p.mul_add(x, 8.333_334e-3);
+            let p = p.mul_add(x, 4.166_666_6e-2);
+            let p = p.mul_add(x, 0.166_666_67);
+            let p = p.mul_add(x, 0.5);
+            p.mul_add(x * x, x)
+        },
+    );
+    let scale: [f32; N] = each(
+        #[inline(always)]
+        |i| f32::from_bits(shifted[i].to_bits().wrapping_shl(23).wrapping_add(0x3f80_0000)),
+    );
+    let through = each(
+        #[inline(always)]
+        |i| if tau[i] < 87.0 { scale[i].mul_add(q[i], scale[i]) } else { 0.0 },
+    );
+    let stopped = each(
+        #[inline(always)]
+        |i| if tau[i] < 87.0 { (-scale[i]).mul_add(q[i], 1.0 - scale[i]) } else { 1.0 },
+    );
+    (through, stopped)
+}
+
+/// One instruction, unlike [`f32::max`], which looks for NaN.
+#[inline(always)]
+fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+#[inline(always)]
+fn each<const N: usize>(f: impl Fn(usize) -> f32) -> [f32; N] {
+    let mut out = [0.0; N];
+    for i in 0..N {
+        out[i] = f(i);
+    }
+    out
 }
 
 /// Runs work with the widest vectors of this machine. What is to be compiled for them must be inlined into the closure,

@@ -34,6 +34,21 @@ pub(super) struct Views<S> {
 }
 
 impl<S: Spectrum> Views<S> {
+    /// What a sight sees of noise and bias.
+    #[inline(always)]
+    fn sums(&self, seen: std::ops::Range<usize>, lit: &[InLeaf<S>]) -> [[S; ROWS]; 2] {
+        let mut sums = [[S::ZERO; ROWS]; 2];
+        for (&leaf, &weight) in self.leaves[seen.clone()].iter().zip(&self.weights[seen]) {
+            let leaf = &lit[leaf as usize];
+            for (sums, of) in sums.iter_mut().zip([&leaf.noise, &leaf.bias]) {
+                for row in 0..ROWS {
+                    sums[row] = sums[row].plus_product(weight, of[row]);
+                }
+            }
+        }
+        sums
+    }
+
     /// Mean squares over the sights of noise and bias of plate and medium, the mean over `groups` of each.
     pub(super) fn errors(&self, lit: &[InLeaf<S>], groups: usize) -> [[f64; ROWS]; 2] {
         let sights = self.starts.len().saturating_sub(1);
@@ -42,16 +57,10 @@ impl<S: Spectrum> Views<S> {
             .with_min_len(256)
             .map(|i| {
                 let seen = self.starts[i] as usize..self.starts[i + 1] as usize;
-                let mut sums = [[S::ZERO; ROWS]; 2];
-                for (&leaf, &weight) in self.leaves[seen.clone()].iter().zip(&self.weights[seen]) {
-                    let leaf = &lit[leaf as usize];
-                    for (sums, of) in sums.iter_mut().zip([&leaf.noise, &leaf.bias]) {
-                        for row in 0..ROWS {
-                            sums[row] = sums[row].plus_product(weight, of[row]);
-                        }
-                    }
-                }
-                sums.map(|rows| rows.map(|row| row.times(row).sum()))
+                vectorised(
+                    #[inline(always)]
+                    || self.sums(seen, lit).map(|rows| rows.map(|row| row.times(row).sum())),
+                )
             })
             .collect();
         let mut sums = [[0.0; ROWS]; 2];
