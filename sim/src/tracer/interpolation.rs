@@ -192,21 +192,50 @@ impl Stencil {
     }
 
     /// Value of two images at the pixel, and how far it is from a linear interpolation.
+    #[inline]
     fn estimate(self, images: &[[f32; ROWS]]) -> [[f32; ROWS]; 2] {
+        let one = Line::new(self.line(self.steps[0]).map(|p| images[p]));
+        let other = if self.steps[0] == self.steps[1] {
+            one
+        } else {
+            Line::new(self.line(self.steps[1]).map(|p| images[p]))
+        };
         let (mut value, mut error) = ([0.0; ROWS], [0.0; ROWS]);
-        let lines = self.steps.map(|step| self.line(step).map(|p| images[p]));
         for k in 0..ROWS {
-            let lines = lines.map(|line| {
-                let [a, b, c, d] = line.map(|image| image[k]);
-                let cubic = INNER * (b + c) + OUTER * (a + d);
-                (cubic, (cubic - 0.5 * (b + c)).abs(), (a - b).abs().max((c - d).abs()).max((b - c).abs()))
-            });
-            let [(one, bent, steep), (other, bent_too, steep_too)] = lines;
-            value[k] = 0.5 * (one + other);
-            error[k] = bent.max(bent_too) + 0.5 * (one - other).abs() + STEEP * steep.max(steep_too);
+            value[k] = 0.5 * (one.cubic[k] + other.cubic[k]);
+            error[k] = larger(one.bent[k], other.bent[k])
+                + 0.5 * (one.cubic[k] - other.cubic[k]).abs()
+                + STEEP * larger(one.steep[k], other.steep[k]);
         }
         [value, error]
     }
+}
+
+/// Two images along four samples.
+#[derive(Clone, Copy)]
+struct Line {
+    /// Value in the middle, how far it is from a linear interpolation, and the largest step between samples.
+    cubic: [f32; ROWS],
+    bent: [f32; ROWS],
+    steep: [f32; ROWS],
+}
+
+impl Line {
+    #[inline(always)]
+    fn new([a, b, c, d]: [[f32; ROWS]; 4]) -> Self {
+        let mut line = Self { cubic: [0.0; ROWS], bent: [0.0; ROWS], steep: [0.0; ROWS] };
+        for k in 0..ROWS {
+            line.cubic[k] = INNER * (b[k] + c[k]) + OUTER * (a[k] + d[k]);
+            line.bent[k] = (line.cubic[k] - 0.5 * (b[k] + c[k])).abs();
+            line.steep[k] = larger(larger((a[k] - b[k]).abs(), (c[k] - d[k]).abs()), (b[k] - c[k]).abs());
+        }
+        line
+    }
+}
+
+#[inline(always)]
+fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
