@@ -45,7 +45,10 @@ const ROUGH: f64 = 2e-3;
 /// Share of the target that the estimated errors of scattered light may take.
 const MARGIN: f64 = 0.7;
 
-/// Depth and spread of leaves and of path blocks at a target of 1e-3; they go with the root of the target.
+/// Depth and spread of leaves and of path blocks at a target of 1e-3; they go with the root of the target, those of path
+/// blocks with the target itself where it is larger, up to this factor.
+const ROUGHEST: f64 = 4.0;
+
 const LEAF: Limits = Limits { depth: 0.3, spread: 0.1 };
 
 const BLOCK: Limits = Limits { depth: 1.0, spread: 0.04 };
@@ -88,10 +91,13 @@ impl Job<'_> {
         let mut scale = (target / 1e-3).sqrt().clamp(0.3, 3.0);
         let (mut rounds, mut cuts) = (0, 0);
         loop {
-            let limits =
-                |l: Limits| Limits { depth: l.depth * narrow(scale), spread: l.spread * narrow(scale) };
-            let blocks = Blocks::<S>::new(fine, limits(BLOCK));
-            let bricks = cut(fine, limits(LEAF));
+            let limits = |l: Limits, scale: f64| Limits {
+                depth: l.depth * narrow(scale),
+                spread: l.spread * narrow(scale),
+            };
+            // A rough image may follow its paths through a rougher medium.
+            let blocks = Blocks::<S>::new(fine, limits(BLOCK, scale.max((scale * scale).min(ROUGHEST))));
+            let bricks = cut(fine, limits(LEAF, scale));
             let count: usize = fine.occupied.iter().map(|&b| bricks.list[b].blocks()).sum();
             let mut leaves = Leaves { bricks, occupied: fine.occupied.clone(), demand: vec![0.0; count] };
             let views = visibility::demand(fine, &mut leaves, &probes);
