@@ -97,6 +97,18 @@ impl SprayShots {
         Self { seed, law, jets: spreading.place.jets(), places, start, parts }
     }
 
+    /// The same law with other random numbers.
+    #[must_use]
+    pub fn with_seed(self, seed: u64) -> Self {
+        Self { seed, ..self }
+    }
+
+    /// Whether shots differ at all.
+    pub fn fluctuates(&self) -> bool {
+        let ShotLaw { turbulence, mass, angle_deg, .. } = self.law;
+        turbulence > 0.0 || mass > 0.0 || angle_deg > 0.0
+    }
+
     /// Factors of shot number `shot` on the densities of liquid and vapour, one per occupied cell of the field, in its
     /// order.
     pub fn factors(&self, shot: u64) -> Vec<f32> {

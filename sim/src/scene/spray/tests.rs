@@ -250,6 +250,19 @@ fn eddies_have_the_stated_size() {
 }
 
 #[test]
+fn a_seed_names_the_shots_and_a_law_of_zeros_has_none() {
+    let text = "time_s = 1e-4\ncell_m = 0.002";
+    let [one, two] = [1, 2].map(|seed| made(&multi_hole(&format!("{text}\nseed = {seed}"))).shots);
+    let third = two.factors(3);
+    assert_ne!(one.factors(3), third);
+    assert!(one.fluctuates());
+    assert_eq!(one.with_seed(2).factors(3), third);
+    let still =
+        made(&multi_hole(&format!("{text}\nshots = {{ turbulence = 0, mass = 0, angle_deg = 0 }}"))).shots;
+    assert!(!still.fluctuates() && still.factors(3).iter().all(|f| (f - 1.0).abs() < 1e-6));
+}
+
+#[test]
 fn a_shot_has_the_same_bits_on_any_number_of_threads() {
     let source = multi_hole("time_s = 2e-4\ncell_m = 0.002\nshot = 7");
     let on = |threads| {
