@@ -43,13 +43,15 @@ fn slabs_agree_with_doubling() {
 /// rms difference from the exact rows stays within the stated error and the noise.
 #[test]
 fn slabs_without_their_forward_peak_stay_within_the_stated_error() {
+    // The stated errors are 4e-2 and more: noise a tenth of that is none.
+    let options = RayOptions { target_error: 4e-3, paths_max: 1 << 11, ..QUICK };
     for degrees in [2.0f64, 5.0] {
         let (mut square, mut allowed, mut count) = (0.0, 0.0, 0.0);
         for row in table("slab_scatter.csv").iter().filter(|row| row[1] == "mie_a") {
             let cut = truncation::cone(&phase("mie_a"), degrees.to_radians()).unwrap();
             let [albedo, depth, lowest, mu] = [2, 3, 4, 5].map(|i| number(&row[i]));
             let left =
-                slab_of(cut.phase.clone(), row, cut.albedo(albedo), cut.extinction(depth, albedo), &QUICK);
+                slab_of(cut.phase.clone(), row, cut.albedo(albedo), cut.extinction(depth, albedo), &options);
             // What is lost or gained by one coefficient is gained or lost by the others.
             let (_, want, _, got, se) = left.values[0];
             // Scatterings along the oblique sight; at most 1/(1 − ω) in all.
@@ -238,7 +240,9 @@ fn declared_errors_of_images_are_the_true_ones() {
             .map(|&i| image.pixels[i] as usize)
             .map(|p| sights.ray((p / 24) as f64 + 0.5, (p % 24) as f64 + 0.5))
             .collect();
-        let options = RayOptions { target_error: 8e-4, seed: 3, paths_max: 1 << 13, ..RayOptions::default() };
+        // Their own errors are taken away from what is found, on some forty pixels.
+        let options =
+            RayOptions { target_error: 1.2e-3, seed: 3, paths_max: 1 << 12, ..RayOptions::default() };
         let answers = render_rays(&body, &rays, Some(&plate), &options).unwrap();
         let square = |v: f64| v * v;
         let (mut truth, mut declared) = ([0.0; 2], [0.0; 2]);

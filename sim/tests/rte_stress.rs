@@ -25,7 +25,7 @@ fn options(target_error: f64) -> RayOptions {
 }
 
 fn few() -> RayOptions {
-    RayOptions { paths_max: 1 << 12, collisions_max: 20_000, ..options(1e-3) }
+    RayOptions { paths_max: 1 << 10, collisions_max: 20_000, ..options(1e-3) }
 }
 
 fn hg(asymmetry: f64) -> PhaseFunction {

@@ -1,10 +1,12 @@
 //! `ditd render`.
 
+mod pictures;
+mod shots;
+
 use super::{CommandError, CommandResult};
-use crate::files::preview::{self, Colours, Preview};
 use ditd_sim::scene::deposit::DepositReport;
 use ditd_sim::scene::exposure::Moments;
-use ditd_sim::scene::file::{self, BandSource, MediumSource, Scene};
+use ditd_sim::scene::file::{self, MediumSource, Scene};
 use ditd_sim::scene::lights::{EndShares, Lights, Mirrored, Share};
 use ditd_sim::scene::mirror::Mirror;
 use ditd_sim::scene::optics::{OpticsOptions, OpticsReport, Work};
@@ -19,6 +21,7 @@ use ditd_sim::tracer::rays::{RayAnswer, RayOptions, render_rays};
 use ditd_sim::tracer::reference::render_reference;
 use ditd_sim::tracer::shape::Body;
 use ditd_sim::tracer::uneven::{self, UnevenPlate};
+use pictures::{Picture, kelvin_name, write_pngs};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -59,12 +62,22 @@ pub struct Args {
     /// Add the coefficients of each spectral group
     #[arg(long)]
     groups: bool,
-    /// Names the random numbers
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
+    /// Also follow shots 1 … N of a parametric spray through the light of the mean one: a file for each (FILE_shot1.exr …),
+    /// and in FILE their mean and standard deviation
+    #[arg(long, value_name = "N", conflicts_with_all = ["rays", "reference"])]
+    shots: Option<u32>,
+    /// Names the random numbers, with --shots also those of the shots [default: 1, for the shots the scene's seed]
+    #[arg(long)]
+    seed: Option<u64>,
     /// Print as JSON
     #[arg(long)]
     json: bool,
+}
+
+impl Args {
+    fn seed(&self) -> u64 {
+        self.seed.unwrap_or(1)
+    }
 }
 
 /// Runs the command.
@@ -79,6 +92,9 @@ pub fn run(args: Args) -> CommandResult {
     let default = if args.rays.is_some() { RAY_TARGET } else { IMAGE_TARGET };
     let options = OpticsOptions { target_error: args.target_error.unwrap_or(default) };
     let scene = file::load(&args.scene).map_err(|e| CommandError::usage(e.to_string()))?;
+    if let Some(number) = args.shots {
+        shots::check(&scene, number)?;
+    }
     // Single rays are of one moment.
     let moments = if args.rays.is_some() {
         Moments { scenes: vec![(1.0, scene)], pixels: 0.0 }
@@ -93,9 +109,10 @@ pub fn run(args: Args) -> CommandResult {
         }
         scenes.push((weight, scene));
     }
-    match &args.rays {
-        Some(rays) => single_rays(&scenes[0].1, rays, &args),
-        None => image(scenes, moments.pixels, &args),
+    match (&args.rays, args.shots) {
+        (Some(rays), _) => single_rays(&scenes[0].1, rays, &args),
+        (None, Some(number)) => shots::images(scenes, number, &args),
+        (None, None) => image(scenes, moments.pixels, &args),
     }
 }
 
@@ -332,7 +349,7 @@ fn single_rays(scene: &Scene, path: &Path, args: &Args) -> CommandResult {
         eprintln!("ditd: single rays pass no lens and see the middle of the exposure");
     }
     let target_error = args.target_error.unwrap_or(RAY_TARGET);
-    let collected = trace_mirrored(scene, walls, &table.rays, target_error, args.seed)?;
+    let collected = trace_mirrored(scene, walls, &table.rays, target_error, args.seed())?;
     let columns = Columns::new(scene, args.groups, walls.apart().is_some());
     let names = columns.names();
     let rows = (0..table.rays.len()).map(|sight| columns.values(collected.of(sight)));
@@ -467,13 +484,7 @@ impl Images {
 
 fn one_image(mut scene: Scene, args: &Args) -> Result<(Images, Vec<Picture>, Camera, Scene), CommandError> {
     let temperatures_k = plate_temperatures(&mut scene, args)?;
-    let camera = scene
-        .camera
-        .clone()
-        .ok_or_else(|| CommandError::usage("render: the scene has no [camera]; add one or use --rays"))?;
-    if camera.rows == 0 || camera.columns == 0 {
-        return Err(CommandError::usage("render: the camera has no pixels"));
-    }
+    let camera = camera_of(&scene)?;
     let target = args.target_error.unwrap_or(IMAGE_TARGET);
     let plate = scene.plate.as_ref().map(|p| &p.shape);
     let walls = scene.surroundings(&temperatures_k);
@@ -498,33 +509,70 @@ fn one_image(mut scene: Scene, args: &Args) -> Result<(Images, Vec<Picture>, Cam
     }
     stats.extend(scene.optics.iter().flat_map(optics_stats));
     stats.extend(scene.deposit.iter().flat_map(deposit_stats));
-    let columns = Columns::new(&scene, args.groups, walls.apart().is_some());
-    let mut images = Images { channels: channels(&columns, &collected), stats };
-    let mut pictures = Vec::new();
-    if temperatures_k.is_empty() && columns.lights.lit() {
-        pictures.push(Picture { name: None, values: radiance(&columns.lights, &collected) });
+    let views = Views::new(&mut scene, &temperatures_k, args, walls)?;
+    let (channels, pictures) = views.images(&collected);
+    Ok((Images { channels, stats }, pictures, camera, scene))
+}
+
+fn camera_of(scene: &Scene) -> Result<Camera, CommandError> {
+    let camera = scene
+        .camera
+        .clone()
+        .ok_or_else(|| CommandError::usage("render: the scene has no [camera]; add one or use --rays"))?;
+    if camera.rows == 0 || camera.columns == 0 {
+        return Err(CommandError::usage("render: the camera has no pixels"));
     }
-    // Transport is linear: the plate's temperature enters only now.
-    for &kelvin in &temperatures_k {
-        if let Some(plate) = &mut scene.plate {
-            plate.temperature_k = Some(kelvin);
+    Ok(camera)
+}
+
+/// What is made of the shares of all pixels: coefficients, and images at the plate's temperatures. Transport is linear, so
+/// that those enter only here.
+struct Views {
+    columns: Columns,
+    at_plate: Vec<(f64, Lights)>,
+}
+
+impl Views {
+    fn new(
+        scene: &mut Scene,
+        temperatures_k: &[f64],
+        args: &Args,
+        walls: Walls,
+    ) -> Result<Self, CommandError> {
+        let columns = Columns::new(scene, args.groups, walls.apart().is_some());
+        let mut at_plate = Vec::new();
+        for &kelvin in temperatures_k {
+            if let Some(plate) = &mut scene.plate {
+                plate.temperature_k = Some(kelvin);
+            }
+            let lights = Lights::new(scene);
+            if !lights.lit() {
+                return Err(CommandError::usage(
+                    "render: images at plate temperatures need [band], and temperatures of [walls] and [medium]",
+                ));
+            }
+            at_plate.push((kelvin, lights));
         }
-        let lights = Lights::new(&scene);
-        if !lights.lit() {
-            return Err(CommandError::usage(
-                "render: images at plate temperatures need [band], and temperatures of [walls] and [medium]",
-            ));
-        }
-        pictures.push(Picture { name: Some(kelvin), values: radiance(&lights, &collected) });
+        Ok(Self { columns, at_plate })
     }
-    for picture in &pictures {
-        if let Some(kelvin) = picture.name {
+
+    /// Channels of an image file, and radiances to be shown.
+    fn images(&self, collected: &Collected) -> (Vec<(String, Vec<f32>)>, Vec<Picture>) {
+        let mut channels = channels(&self.columns, collected);
+        let lights = &self.columns.lights;
+        if self.at_plate.is_empty() && lights.lit() {
+            return (channels, vec![Picture { name: None, values: radiance(lights, collected) }]);
+        }
+        let mut pictures = Vec::new();
+        for (kelvin, lights) in &self.at_plate {
+            let values = radiance(lights, collected);
             #[expect(clippy::cast_possible_truncation, reason = "EXR images hold f32")]
-            let values = picture.values.iter().map(|&v| v as f32).collect();
-            images.channels.push((format!("radiance_plate_{}", kelvin_name(kelvin)), values));
+            let single = values.iter().map(|&v| v as f32).collect();
+            channels.push((format!("radiance_plate_{}", kelvin_name(*kelvin)), single));
+            pictures.push(Picture { name: Some(*kelvin), values });
         }
+        (channels, pictures)
     }
-    Ok((images, pictures, camera, scene))
 }
 
 /// Shares of all pixels of a camera, with any plate.
@@ -537,7 +585,7 @@ fn rendered(
     args: &Args,
 ) -> Result<Collected, CommandError> {
     if matches!(&scene.medium, Some(MediumSource::Shape(..))) {
-        pixel_by_pixel(scene, camera, walls, plate, target, args.seed)
+        pixel_by_pixel(scene, camera, walls, plate, target, args.seed())
     } else {
         operator(scene, camera, walls, plate, target, args)
     }
@@ -564,12 +612,6 @@ fn plate_temperatures(scene: &mut Scene, args: &Args) -> Result<Vec<f64>, Comman
     Ok(args.plate_temperatures.clone())
 }
 
-/// A radiance image, of a plate temperature if one is named.
-struct Picture {
-    name: Option<f64>,
-    values: Vec<f64>,
-}
-
 fn radiance(lights: &Lights, collected: &Collected) -> Vec<f64> {
     (0..collected.shares.len())
         .map(|sight| match collected.of(sight) {
@@ -587,53 +629,6 @@ fn end_name(end: usize) -> String {
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
 fn count(n: usize) -> f64 {
     n as f64
-}
-
-/// A temperature as part of a name: no dots, which EXR channels cannot have.
-fn kelvin_name(kelvin: f64) -> String {
-    format!("{kelvin}K").replace('.', "_")
-}
-
-/// Writes each picture as PNG, all on one scale.
-fn write_pngs(path: &Path, camera: &Camera, scene: &Scene, pictures: &[Picture]) -> Result<(), CommandError> {
-    if pictures.is_empty() {
-        return Err(CommandError::usage(
-            "render: --png shows radiances: give [band] and the temperatures of [plate], [walls] and [medium]",
-        ));
-    }
-    let all: Vec<f64> = pictures.iter().flat_map(|p| p.values.iter().copied()).collect();
-    // Tick labels stay short: a power of ten goes to the unit.
-    let largest = all.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
-    let power = if largest > 0.0 { libm::floor(libm::log10(largest)) } else { 0.0 };
-    let factor = libm::pow(10.0, -power);
-    let scaled: Vec<f64> = all.iter().map(|v| v * factor).collect();
-    let (low, high) = preview::round_range(&scaled);
-    let per = if matches!(scene.band, Some(BandSource::Wavelength(_))) { " um" } else { "" };
-    let unit = format!("1e{power:.0} ph/(s m2 sr{per})");
-    for (picture, values) in pictures.iter().zip(scaled.chunks(camera.rows * camera.columns)) {
-        let title =
-            picture.name.map_or("radiance".to_owned(), |kelvin| format!("radiance, plate {kelvin} K"));
-        let out = match picture.name {
-            Some(kelvin) if pictures.len() > 1 => {
-                let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-                path.with_file_name(format!("{stem}_{}.png", kelvin_name(kelvin)))
-            }
-            _ => path.to_owned(),
-        };
-        let png = preview::to_png(&Preview {
-            rows: camera.rows,
-            columns: camera.columns,
-            values,
-            low,
-            high,
-            title: &title,
-            unit: &unit,
-            colours: Colours::Inferno,
-        });
-        png.and_then(|bytes| std::fs::write(&out, bytes))
-            .map_err(|e| CommandError::failure(format!("render: writing {}: {e}", out.display())))?;
-    }
-    Ok(())
 }
 
 /// What the coefficients of a spray took, and what was left out: groups and the most that it can cost.
@@ -690,19 +685,49 @@ fn operator(
     args: &Args,
 ) -> Result<Collected, CommandError> {
     let empty = nothing();
-    let medium = match &scene.medium {
-        Some(MediumSource::Grid(grid, _) | MediumSource::Spectral(grid, _)) => grid.as_ref(),
-        _ => &empty,
-    };
-    let motion_m = scene.exposure.map_or([0.0; 3], |e| e.motion_m());
-    let options =
-        RenderOptions { target_error, seed: args.seed, walls, motion_m, ..RenderOptions::default() };
+    let medium = gridded(scene).unwrap_or(&empty);
+    let options = render_options(scene, walls, target_error, args);
     let operator = if args.reference {
         render_reference(medium, camera, plate, &options, None, &|_| {})
     } else {
         render_image(medium, camera, plate, &options, &|_| {})
     };
     let operator = operator.map_err(|e| CommandError::usage(format!("render: {e}")))?;
+    let mut collected = collected(&operator, walls);
+    let groups = operator.groups;
+    // Only the scene's own plate is uneven, not the opening that stands for it in a mirror.
+    let own = scene.plate.as_ref().filter(|p| Some(&p.shape) == plate);
+    if let Some(uneven) = own.and(uneven_plate(scene)?) {
+        let excess = uneven::excess(medium, camera, &uneven, &options, &operator)
+            .map_err(|e| CommandError::usage(format!("render: {e}")))?;
+        for (shares, seen) in collected.shares.iter_mut().zip(&excess.seen) {
+            shares.iter_mut().for_each(|share| share.excess = seen.map(f64::from));
+        }
+        for (&pixel, found) in operator.pixels.iter().zip(excess.active.chunks_exact(groups)) {
+            for (share, found) in collected.shares[pixel as usize].iter_mut().zip(found) {
+                share.excess = found.map(f64::from);
+            }
+        }
+        collected.stats.push(("plate_excess_error_k".to_owned(), excess.error_k));
+    }
+    Ok(collected)
+}
+
+/// The medium of a scene if it is on a grid.
+fn gridded(scene: &Scene) -> Option<&GridMedium> {
+    match &scene.medium {
+        Some(MediumSource::Grid(grid, _) | MediumSource::Spectral(grid, _)) => Some(grid.as_ref()),
+        _ => None,
+    }
+}
+
+fn render_options(scene: &Scene, walls: Walls, target_error: f64, args: &Args) -> RenderOptions {
+    let motion_m = scene.exposure.map_or([0.0; 3], |e| e.motion_m());
+    RenderOptions { target_error, seed: args.seed(), walls, motion_m, ..RenderOptions::default() }
+}
+
+/// The shares of all pixels of an operator.
+fn collected(operator: &Operator, walls: Walls) -> Collected {
     let groups = operator.groups;
     let mut shares: Vec<Vec<Share>> = operator
         .plate_seen
@@ -730,24 +755,8 @@ fn operator(
             };
         }
     }
-    let mut stats = operator.stats.clone();
-    // Only the scene's own plate is uneven, not the opening that stands for it in a mirror.
-    let own = scene.plate.as_ref().filter(|p| Some(&p.shape) == plate);
-    if let Some(uneven) = own.and(uneven_plate(scene)?) {
-        let excess = uneven::excess(medium, camera, &uneven, &options, &operator)
-            .map_err(|e| CommandError::usage(format!("render: {e}")))?;
-        for (shares, seen) in shares.iter_mut().zip(&excess.seen) {
-            shares.iter_mut().for_each(|share| share.excess = seen.map(f64::from));
-        }
-        for (&pixel, found) in operator.pixels.iter().zip(excess.active.chunks_exact(groups)) {
-            for (share, found) in shares[pixel as usize].iter_mut().zip(found) {
-                share.excess = found.map(f64::from);
-            }
-        }
-        stats.push(("plate_excess_error_k".to_owned(), excess.error_k));
-    }
-    let ends = if walls.apart().is_some() { ends_of(&operator) } else { Vec::new() };
-    Ok(Collected { shares, ends, stats })
+    let ends = if walls.apart().is_some() { ends_of(operator) } else { Vec::new() };
+    Collected { shares, ends, stats: operator.stats.clone() }
 }
 
 /// The walls one by one, of every pixel.
@@ -857,15 +866,14 @@ fn write_exr(path: &Path, camera: &Camera, images: &Images) -> exr::error::UnitR
     Image::from_layer(layer).write().to_file(path)
 }
 
-#[expect(clippy::cast_precision_loss, reason = "images are smaller than 2^53")]
+/// Mean over an image; 0 of none.
+fn mean(values: &[f32]) -> f64 {
+    values.iter().map(|&x| f64::from(x)).sum::<f64>() / count(values.len().max(1))
+}
+
 fn report(images: &Images, json: bool) -> CommandResult {
-    let means: Vec<(String, f64)> = images
-        .channels
-        .iter()
-        .map(|(name, v)| {
-            (format!("mean_{name}"), v.iter().map(|&x| f64::from(x)).sum::<f64>() / v.len().max(1) as f64)
-        })
-        .collect();
+    let means: Vec<(String, f64)> =
+        images.channels.iter().map(|(name, values)| (format!("mean_{name}"), mean(values))).collect();
     let all = images.stats.iter().chain(&means);
     if json {
         let map: serde_json::Map<String, serde_json::Value> =

@@ -1,14 +1,9 @@
-//! How widely each parcel is spread: a quadratic B-spline along each axis, wide enough that the local density
-//! rests on many parcels.
+//! The kernel that spreads a parcel, a quadratic B-spline along each axis, and the cells it reaches.
 //!
-//! 20 000 parcels stand for 7 million droplets; put into 1 mm cells as they are they make speckle, not a spray.
+//! 20 000 parcels stand for 7 million droplets; put into 1 mm cells as they are they make speckle, not a spray. How wide
+//! kernels are is decided elsewhere (`widths`).
 
-use super::super::field::{Grid, Parcel};
-use rayon::prelude::*;
-
-/// Steps by which the width grows, and their factor.
-const STEPS: usize = 12;
-const FACTOR: f64 = 1.2;
+use super::super::field::Grid;
 
 /// Shares below this part of a parcel's largest are left to the others: they would double the memory for 1 % of the
 /// droplets.
@@ -20,7 +15,8 @@ pub(super) fn spline_integral(x: f64) -> f64 {
     let above = if a >= 1.5 {
         0.0
     } else if a >= 0.5 {
-        (1.5 - a).powi(3) / 6.0
+        let rest = 1.5 - a;
+        rest * rest * rest / 6.0
     } else {
         0.5 - (0.75 * a - a * a * a / 3.0)
     };
@@ -28,7 +24,7 @@ pub(super) fn spline_integral(x: f64) -> f64 {
 }
 
 /// The spline itself, width 1.
-fn spline(x: f64) -> f64 {
+pub(super) fn spline(x: f64) -> f64 {
     let a = x.abs();
     if a >= 1.5 {
         0.0
@@ -36,68 +32,6 @@ fn spline(x: f64) -> f64 {
         0.5 * (1.5 - a) * (1.5 - a)
     } else {
         0.75 - a * a
-    }
-}
-
-/// Neighbours looked at for one width of all parcels together, about 1 s of one core: of a denser cloud every second, third …
-/// is. Clouds of 20 000 parcels are never that dense.
-const LOOKS_MAX: usize = 1 << 29;
-
-/// Neighbours looked at for one parcel at least, if there are so many.
-const LOOKS_MIN: usize = 256;
-
-/// Parcels for which bins have the edge of the narrowest kernel; for more or fewer their volume goes with one over the number,
-/// between these edges.
-const PARCELS_PER_EDGE: f64 = 131_072.0;
-const EDGES: [f64; 2] = [0.5, 1.5];
-
-/// Finds kernels for a cloud.
-pub(super) struct Widths {
-    bins: Bins,
-    min_m: f64,
-    max_m: f64,
-    /// Neighbours looked at for one parcel.
-    looks: usize,
-}
-
-impl Widths {
-    /// Kernels between two widths.
-    pub(super) fn new(parcels: &[Parcel], min_m: f64, max_m: f64) -> Self {
-        let edge = (PARCELS_PER_EDGE / parcels.len().max(1) as f64).cbrt().clamp(EDGES[0], EDGES[1]);
-        let bins = Bins::new(parcels, max_m.max(min_m).min(edge * min_m));
-        Self { bins, min_m, max_m, looks: (LOOKS_MAX / parcels.len().max(1)).max(LOOKS_MIN) }
-    }
-
-    /// Width of each parcel's spline in metres, and the N_eff = (Σ a K)² / Σ (a K)² reached there, a the droplet area.
-    ///
-    /// The smallest width of min · 1.2^k, at most max, that reaches `n_eff`; `before`, empty or found for a smaller
-    /// N_eff, is where the search goes on.
-    pub(super) fn find(&self, parcels: &[Parcel], n_eff: f64, before: &[(f64, f64)]) -> Vec<(f64, f64)> {
-        // Neighbours one after another, so that what they look at is at hand.
-        let found: Vec<(f64, f64)> = self
-            .bins
-            .order
-            .par_iter()
-            .map(|&i| {
-                let i = i as usize;
-                let n_eff_at = |width: f64| self.bins.n_eff(parcels[i].position_m, width, self.looks);
-                let (mut width, mut reached) =
-                    before.get(i).copied().unwrap_or_else(|| (self.min_m, n_eff_at(self.min_m)));
-                for _ in 0..STEPS {
-                    if reached >= n_eff || width >= self.max_m {
-                        break;
-                    }
-                    width = (width * FACTOR).min(self.max_m);
-                    reached = n_eff_at(width);
-                }
-                (width, reached)
-            })
-            .collect();
-        let mut widths = vec![(0.0, 0.0); parcels.len()];
-        for (&i, found) in self.bins.order.iter().zip(found) {
-            widths[i as usize] = found;
-        }
-        widths
     }
 }
 
@@ -155,12 +89,22 @@ pub(super) fn stretch(
 ) -> usize {
     let cell_m = grid.cell_m()[axis];
     let place = (position_m - grid.lower_m[axis]) / cell_m;
-    let width = width_m / cell_m;
-    let first = index(place - 1.5 * width, grid.cells[axis]);
-    let last = index(place + 1.5 * width, grid.cells[axis]);
-    let edge = |i: usize| spline_integral((i as f64 - place) / width);
+    line(place, width_m / cell_m, grid.cells[axis], shares)
+}
+
+/// The first of `count` cells of edge 1 that a kernel about a place reaches; fills `shares` with those of it and the cells
+/// after it.
+pub(super) fn line(place: f64, width: f64, count: usize, shares: &mut Vec<f64>) -> usize {
+    let first = index(place - 1.5 * width, count);
+    let last = index(place + 1.5 * width, count);
+    let per_width = 1.0 / width;
+    let edge = |i: usize| spline_integral((i as f64 - place) * per_width);
     shares.clear();
-    shares.extend((first..=last).map(|i| edge(i + 1) - edge(i)));
+    let mut below = edge(first);
+    shares.extend((first..=last).map(|i| {
+        let above = edge(i + 1);
+        above - std::mem::replace(&mut below, above)
+    }));
     first
 }
 
@@ -176,95 +120,6 @@ pub(super) fn index(place: f64, count: usize) -> usize {
 
 pub(super) fn narrow(cell: usize) -> u32 {
     u32::try_from(cell).expect("the grid was checked to have fewer than 2³² cells")
-}
-
-/// Parcels sorted into cubes, for finding neighbours.
-struct Bins {
-    grid: Grid,
-    start: Vec<u32>,
-    /// Position and area, sorted by bin.
-    parcels: Vec<([f64; 3], f64)>,
-    /// Number of each of them in the cloud.
-    order: Vec<u32>,
-}
-
-/// Bins along an axis at most; wider clouds get wider bins.
-const BINS_MAX: usize = 128;
-
-impl Bins {
-    fn new(parcels: &[Parcel], size_m: f64) -> Self {
-        if parcels.is_empty() {
-            let grid = Grid { lower_m: [0.0; 3], upper_m: [1.0; 3], cells: [1; 3] };
-            return Self { grid, start: vec![0; 2], parcels: Vec::new(), order: Vec::new() };
-        }
-        let mut lower_m = [f64::INFINITY; 3];
-        let mut upper_m = [f64::NEG_INFINITY; 3];
-        for parcel in parcels {
-            for a in 0..3 {
-                lower_m[a] = lower_m[a].min(parcel.position_m[a]);
-                upper_m[a] = upper_m[a].max(parcel.position_m[a]);
-            }
-        }
-        let mut cells = [1; 3];
-        for a in 0..3 {
-            let number = ((upper_m[a] - lower_m[a]) / size_m).ceil().clamp(1.0, BINS_MAX as f64);
-            cells[a] = index(number, 1 + BINS_MAX);
-            upper_m[a] = upper_m[a].max(lower_m[a] + number * size_m);
-        }
-        let grid = Grid { lower_m, upper_m, cells };
-        let bin: Vec<usize> = parcels.iter().map(|p| grid.linear(bin_of(&grid, p.position_m))).collect();
-        let mut start = vec![0_u32; grid.len() + 1];
-        for &b in &bin {
-            start[b + 1] += 1;
-        }
-        for b in 0..grid.len() {
-            start[b + 1] += start[b];
-        }
-        let mut next = start.clone();
-        let mut sorted = vec![([0.0; 3], 0.0); parcels.len()];
-        let mut order = vec![0; parcels.len()];
-        for (i, (parcel, &b)) in parcels.iter().zip(&bin).enumerate() {
-            sorted[next[b] as usize] = (parcel.position_m, parcel.area_m2());
-            order[next[b] as usize] = narrow(i);
-            next[b] += 1;
-        }
-        Self { grid, start, parcels: sorted, order }
-    }
-
-    /// N_eff at a place. Of more than `looks` neighbours only every second, third … counts, for as many: both sums shrink
-    /// alike, so that N_eff is as many times the sample's.
-    fn n_eff(&self, position_m: [f64; 3], width_m: f64, looks: usize) -> f64 {
-        let first = bin_of(&self.grid, position_m.map(|x| x - 1.5 * width_m));
-        let last = bin_of(&self.grid, position_m.map(|x| x + 1.5 * width_m));
-        let rows = || {
-            (first[0]..=last[0]).flat_map(move |x| (first[1]..=last[1]).map(move |y| [x, y])).map(|[x, y]| {
-                let ends = [first[2], last[2]].map(|z| self.grid.linear([x, y, z]));
-                self.start[ends[0]] as usize..self.start[ends[1] + 1] as usize
-            })
-        };
-        let every = rows().map(|row| row.len()).sum::<usize>().div_ceil(looks).max(1);
-        let (mut sum, mut squares) = (0.0, 0.0);
-        // How many of the next row come before the next one that is looked at.
-        let mut skip = 0;
-        for row in rows() {
-            let length = row.len();
-            for (place, area) in self.parcels[row].iter().skip(skip).step_by(every) {
-                if (0..3).any(|a| (place[a] - position_m[a]).abs() >= 1.5 * width_m) {
-                    continue;
-                }
-                let weight: f64 = (0..3).map(|a| spline((place[a] - position_m[a]) / width_m)).product();
-                sum += weight * area;
-                squares += (weight * area) * (weight * area);
-            }
-            skip = (skip + every - length % every) % every;
-        }
-        if squares > 0.0 { every as f64 * sum * sum / squares } else { 0.0 }
-    }
-}
-
-fn bin_of(grid: &Grid, position_m: [f64; 3]) -> [usize; 3] {
-    let cell_m = grid.cell_m();
-    std::array::from_fn(|a| index((position_m[a] - grid.lower_m[a]) / cell_m[a], grid.cells[a]))
 }
 
 #[cfg(test)]
@@ -293,34 +148,5 @@ mod tests {
                 assert!(shares.iter().all(|s| s.0 % 10 != 7));
             }
         }
-    }
-
-    #[test]
-    fn widths_grow_until_enough_parcels_are_inside() {
-        // A lattice of equal parcels 0.5 mm apart: N_eff = n w³ / 0.55³ with n = 8 per mm³.
-        let mut parcels = Vec::new();
-        for i in 0..20_i32.pow(3) {
-            let at = [i / 400, i / 20 % 20, i % 20].map(|v| f64::from(v) * 0.5e-3);
-            parcels.push(Parcel { position_m: at, diameter_m: 1e-5, temperature_k: 380.0, droplets: 100.0 });
-        }
-        let middle = 10 * 400 + 10 * 20 + 10;
-        let (width, n_eff) = Widths::new(&parcels, 0.5e-3, 5e-3).find(&parcels, 30.0, &[])[middle];
-        assert!(n_eff >= 30.0);
-        let expected = 8e9 * width.powi(3) / 0.55_f64.powi(3);
-        assert!((n_eff / expected - 1.0).abs() < 0.1, "{n_eff} against {expected}");
-    }
-
-    #[test]
-    fn a_sample_of_the_neighbours_finds_the_same() {
-        let mut parcels = Vec::new();
-        for i in 0..40_i32.pow(3) {
-            let at = [i / 1600, i / 40 % 40, i % 40].map(|v| f64::from(v) * 0.25e-3);
-            let droplets = 100.0 + f64::from(i % 7);
-            parcels.push(Parcel { position_m: at, diameter_m: 1e-5, temperature_k: 380.0, droplets });
-        }
-        let bins = Bins::new(&parcels, 1e-3);
-        let [all, some] = [usize::MAX, 2000].map(|looks| bins.n_eff([5e-3; 3], 2e-3, looks));
-        // 2000 of 13 824 parcels in bins of 24³: some 250 have weight.
-        assert!((some / all - 1.0).abs() < 0.1, "{all} {some}");
     }
 }

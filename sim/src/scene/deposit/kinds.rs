@@ -8,6 +8,7 @@
 use super::super::field::{Grid, Parcel};
 use super::super::import::SceneError;
 use super::kernel::{index, narrow, stretch};
+use super::widths::Found;
 use rayon::prelude::*;
 
 /// Entries (a parcel or kind in a cell) of a field at most, 8 bytes each: where parcels would make more, kinds
@@ -40,8 +41,8 @@ pub(super) struct Kinds {
 }
 
 /// About how many entries the parcels make, one by one.
-pub(super) fn entries(grid: &Grid, widths: &[(f64, f64)]) -> f64 {
-    widths.par_iter().map(|w| reach(grid, w.0)).sum()
+pub(super) fn entries(grid: &Grid, widths: &[Found]) -> f64 {
+    widths.iter().map(|w| reach(grid, w.0)).sum()
 }
 
 /// Cells in reach of a kernel.
@@ -58,16 +59,17 @@ fn reach(grid: &Grid, width_m: f64) -> f64 {
 pub(super) fn spread(
     grid: &Grid,
     parcels: &[Parcel],
-    widths: &[(f64, f64)],
+    widths: &[Found],
     open: &(dyn Fn(usize) -> bool + Sync),
 ) -> Result<Kinds, SceneError> {
-    let groups = sorted(grid, parcels, widths)?;
+    let (parcels, widths) = arranged(grid, parcels, widths);
+    let groups = sorted(grid, &parcels, &widths)?;
     let mask: Vec<bool> = (0..grid.len()).into_par_iter().map(open).collect();
     let mask = (!mask.par_iter().all(|open| *open)).then_some(mask);
     let job = Job { grid, mask: mask.as_deref(), rows: 0..grid.cells[0] };
     let scale: Vec<f64> = parcels
         .par_iter()
-        .zip(widths)
+        .zip(&widths)
         .map_init(Stretches::default, |along, (parcel, width)| {
             job.open_share(along, parcel.position_m, width.0).recip()
         })
@@ -76,8 +78,11 @@ pub(super) fn spread(
     let mut kinds = Kinds { parcels: Vec::new(), lists: Vec::new(), error: 0.0 };
     let (volume, plane) = (grid.cell_volume_m3(), grid.cells[1] * grid.cells[2]);
     let part = grid.cells[0].div_ceil(SLABS);
+    let widest = widths.iter().fold(0.0, |widest: f64, w| widest.max(w.0));
+    // A kernel reaches no row further from its own than so many.
+    let reach = 1 + index(1.5 * widest / grid.cell_m()[0], grid.cells[0] + 1);
     for group in groups.chunk_by(|a, b| a.kind == b.kind) {
-        let kind = mean(parcels, group);
+        let kind = mean(&parcels, group);
         let own = kind.area_m2() / kind.droplets;
         let lists: Vec<(f64, Vec<(u32, f32)>)> = cells
             .par_chunks_mut(part * plane)
@@ -86,7 +91,9 @@ pub(super) fn spread(
                 let first = slab * part;
                 let job = Job { rows: first..first + cells.len() / plane, ..job.clone() };
                 let mut along = Stretches::default();
-                for member in group {
+                let [from, to] = [first.saturating_sub(reach), job.rows.end + reach]
+                    .map(|row| group.partition_point(|member| (member.row as usize) < row));
+                for member in &group[from..to] {
                     let i = member.parcel as usize;
                     let droplets = member.share * parcels[i].area_m2() / own;
                     job.add(&mut along, parcels[i].position_m, widths[i].0, [droplets, scale[i]], cells);
@@ -102,11 +109,22 @@ pub(super) fn spread(
     Ok(kinds)
 }
 
+/// Parcels and their kernels in the order in which kinds look them up: ten million at random places of memory would take
+/// longer than all the rest.
+fn arranged(grid: &Grid, parcels: &[Parcel], widths: &[Found]) -> (Vec<Parcel>, Vec<Found>) {
+    let first = |(i, parcel)| split(grid, i, parcel, 1.0).next().map(|m| (m.kind, m.row, m.parcel));
+    let mut order: Vec<_> = parcels.par_iter().enumerate().filter_map(first).collect();
+    order.par_sort_unstable();
+    order.par_iter().map(|key| (parcels[key.2 as usize], widths[key.2 as usize])).unzip()
+}
+
 /// A parcel as a member of a kind.
 #[derive(Debug, Clone, Copy)]
 struct Member {
     /// Numbers of the kind's diameter and temperature.
     kind: [i32; 2],
+    /// Row of cells, along x, that the parcel lies in.
+    row: u32,
     parcel: u32,
     /// Share of the parcel that belongs to the kind.
     share: f64,
@@ -114,14 +132,17 @@ struct Member {
     temperature_k: f64,
 }
 
-/// The members of all kinds, kind by kind, with kinds as fine as [`ENTRIES_MAX`] allows.
-fn sorted(grid: &Grid, parcels: &[Parcel], widths: &[(f64, f64)]) -> Result<Vec<Member>, SceneError> {
+/// The members of all kinds, kind by kind and row by row, with kinds as fine as [`ENTRIES_MAX`] allows.
+fn sorted(grid: &Grid, parcels: &[Parcel], widths: &[Found]) -> Result<Vec<Member>, SceneError> {
     let mut doubling = 0;
     loop {
         let wide = f64::from(1 << doubling);
-        let mut members: Vec<Member> =
-            parcels.par_iter().enumerate().flat_map_iter(|(i, parcel)| split(i, parcel, wide)).collect();
-        members.par_sort_unstable_by_key(|member| (member.kind, member.parcel));
+        let mut members: Vec<Member> = parcels
+            .par_iter()
+            .enumerate()
+            .flat_map_iter(|(i, parcel)| split(grid, i, parcel, wide))
+            .collect();
+        members.par_sort_unstable_by_key(|member| (member.kind, member.row, member.parcel));
         let bound: f64 = members
             .chunk_by(|a, b| a.kind == b.kind)
             .map(|group| {
@@ -142,7 +163,8 @@ fn sorted(grid: &Grid, parcels: &[Parcel], widths: &[(f64, f64)]) -> Result<Vec<
 
 /// The kinds of a parcel: one diameter, and the temperatures below and above its own.
 #[expect(clippy::cast_possible_truncation, reason = "logarithms of doubles, and kelvins that saturate")]
-fn split(parcel: usize, of: &Parcel, wide: f64) -> impl Iterator<Item = Member> {
+fn split(grid: &Grid, parcel: usize, of: &Parcel, wide: f64) -> impl Iterator<Item = Member> {
+    let row = narrow(index((of.position_m[0] - grid.lower_m[0]) / grid.cell_m()[0], grid.cells[0]));
     let size = (of.diameter_m.ln() / (STEP_LN * wide)).floor() as i32;
     let step_k = STEP_K * wide;
     let below = (of.temperature_k / step_k).floor();
@@ -152,6 +174,7 @@ fn split(parcel: usize, of: &Parcel, wide: f64) -> impl Iterator<Item = Member> 
         if below < 1.0 { [(1.0, 1.0), (1.0, 0.0)] } else { [(below, 1.0 - above), (below + 1.0, above)] };
     let member = move |(place, share): (f64, f64)| Member {
         kind: [size, place as i32],
+        row,
         parcel: narrow(parcel),
         share,
         temperature_k: place * step_k,
@@ -369,9 +392,10 @@ mod tests {
 
     #[test]
     fn a_kind_is_made_of_shares_that_keep_the_temperature() {
+        let grid = Grid { lower_m: [0.0; 3], upper_m: [0.01; 3], cells: [10; 3] };
         for temperature_k in [0.5, 3.99, 4.0, 361.3, 5000.1] {
             let parcel = Parcel { temperature_k, ..cloud(1)[0] };
-            let members: Vec<Member> = split(0, &parcel, 1.0).collect();
+            let members: Vec<Member> = split(&grid, 0, &parcel, 1.0).collect();
             let share: f64 = members.iter().map(|m| m.share).sum();
             let mean: f64 = members.iter().map(|m| m.share * m.temperature_k).sum();
             assert!((share - 1.0).abs() < 1e-12);

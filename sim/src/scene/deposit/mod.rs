@@ -9,6 +9,7 @@ mod noise;
 mod placement;
 mod slopes;
 mod vapour;
+mod widths;
 
 pub use placement::{Move, Placement, Sectors};
 
@@ -20,6 +21,7 @@ use kinds::Kinds;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use vapour::{Spread, Sums};
+use widths::{Found, Widths};
 
 /// Cells of a grid at most: 16 million, about 0.7 GB while the gas is summed.
 pub const CELLS_MAX: usize = 1 << 24;
@@ -235,7 +237,7 @@ const ROUNDS: usize = 6;
 /// Kernels of the parcels.
 struct Kernels {
     /// Width in metres and N_eff of each parcel.
-    widths: Vec<(f64, f64)>,
+    widths: Vec<Found>,
     wanted: f64,
     split_half: [f64; 3],
 }
@@ -244,11 +246,12 @@ impl Kernels {
     /// The narrowest kernels that rest on enough parcels and are quiet enough.
     fn choose(parcels: &[Parcel], options: &DepositOptions, width_min_m: f64) -> Self {
         let width_max_m = options.kernel_max.max(1.0) * width_min_m;
-        let search = kernel::Widths::new(parcels, width_min_m, width_max_m);
+        let search = Widths::new(parcels, width_min_m, width_max_m);
         let mut wanted = options.n_eff;
-        let mut widths = Vec::new();
+        let mut found = Vec::new();
         for round in 1.. {
-            widths = search.find(parcels, wanted, &widths);
+            found = search.find(wanted, &found);
+            let widths = search.of_parcels(&found);
             let split_half = noise::split_half(parcels, &widths);
             let worst = split_half.into_iter().fold(0.0, f64::max);
             let widest = widths.iter().all(|w| w.0 >= width_max_m);
@@ -264,7 +267,7 @@ impl Kernels {
     }
 
     /// Mean over the parcels, weighted with droplet area.
-    fn mean(&self, parcels: &[Parcel], value: &dyn Fn(&(f64, f64)) -> f64) -> f64 {
+    fn mean(&self, parcels: &[Parcel], value: &dyn Fn(&Found) -> f64) -> f64 {
         let area: f64 = parcels.iter().map(Parcel::area_m2).sum();
         let sum: f64 = parcels.iter().zip(&self.widths).map(|(p, w)| p.area_m2() * value(w)).sum();
         if area > 0.0 { sum / area } else { 0.0 }

@@ -4,7 +4,7 @@
 //! expectation, so that the answer has no noise of its own.
 
 use super::super::field::Parcel;
-use super::kernel::{index, spline_integral};
+use super::kernel::{index, line};
 use rayon::prelude::*;
 
 /// Extinction efficiency of large droplets, the limit of Mie theory; only this test uses it.
@@ -53,29 +53,37 @@ fn view_error(parcels: &[Parcel], widths: &[(f64, f64)], axis: usize, every: usi
     let pixel = PIXEL_M.max(span[0].max(span[1]) / PIXELS_MAX as f64);
     let counts = span.map(|s| 1 + index(s / pixel, PIXELS_MAX));
     // Optical depth τ, and Σ ln cosh 2x.
-    let mut columns = vec![[0.0_f64; 2]; counts[0] * counts[1]];
-    let shares = |place: f64, width: f64, count: usize| {
-        let first = index(place - 1.5 * width, count);
-        let last = index(place + 1.5 * width, count);
-        let edge = |i: usize| spline_integral((i as f64 - place) / width);
-        (first, (first..=last).map(|i| edge(i + 1) - edge(i)).collect::<Vec<_>>())
-    };
+    let mut depths = vec![0.0_f64; counts[0] * counts[1]];
+    let mut spreads = depths.clone();
+    let (mut in_rows, mut along) = (Vec::new(), Vec::new());
     for (parcel, (width, _)) in parcels.iter().zip(widths).step_by(every) {
         let depth = EXTINCTION_EFFICIENCY * parcel.area_m2() / (pixel * pixel);
-        let (row, rows) = shares((parcel.position_m[a] - lower[0]) / pixel, width / pixel, counts[0]);
-        let (column, along) = shares((parcel.position_m[b] - lower[1]) / pixel, width / pixel, counts[1]);
-        for (i, share_a) in rows.iter().enumerate() {
-            let line = (row + i) * counts[1] + column;
-            for (sums, share_b) in columns[line..].iter_mut().zip(&along) {
-                let own = share_a * share_b * depth;
-                sums[0] += own;
-                sums[1] += ln_cosh(2.0 * own);
+        let width = width / pixel;
+        let row = line((parcel.position_m[a] - lower[0]) / pixel, width, counts[0], &mut in_rows);
+        let column = line((parcel.position_m[b] - lower[1]) / pixel, width, counts[1], &mut along);
+        let largest = |shares: &[f64]| shares.iter().copied().fold(0.0, f64::max);
+        let faint = 2.0 * depth * largest(&in_rows) * largest(&along) < SERIES_BELOW;
+        for (i, share) in in_rows.iter().enumerate() {
+            let first = (row + i) * counts[1] + column;
+            let pixels = first..first + along.len();
+            let sums = depths[pixels.clone()].iter_mut().zip(&mut spreads[pixels]).zip(&along);
+            let own = share * depth;
+            if faint {
+                sums.for_each(|((depth, spread), share)| {
+                    *depth += own * share;
+                    *spread += ln_cosh_series(2.0 * own * share);
+                });
+            } else {
+                sums.for_each(|((depth, spread), share)| {
+                    *depth += own * share;
+                    *spread += ln_cosh(2.0 * own * share);
+                });
             }
         }
     }
     let (mut squares, mut count) = (0.0, 0.0);
-    let all = columns.into_iter().map(|sums| sums.map(|sum| sum * every as f64));
-    for [depth, spread] in all.filter(|sums| sums[0] > DEPTH_MIN) {
+    let all = depths.into_iter().zip(spreads).map(|(d, s)| (d * every as f64, s * every as f64));
+    for (depth, spread) in all.filter(|sums| sums.0 > DEPTH_MIN) {
         // The difference of two numbers between 0 and 1 is at most 1, however rare and heavy the parcels are; Σ ln cosh
         // is at most 2τ, so that nothing overflows.
         squares += 2.0 * ((spread - 2.0 * depth).exp() - (-2.0 * depth).exp()).max(0.0);
@@ -84,18 +92,22 @@ fn view_error(parcels: &[Parcel], widths: &[(f64, f64)], axis: usize, every: usi
     if count > 0.0 { f64::sqrt(squares / count) } else { 0.0 }
 }
 
-/// ln cosh y for y ≥ 0, to 1e-7 of its value below 0.1 by its series.
+/// Arguments below which the series of ln cosh is good to 1e-7 of its value.
+const SERIES_BELOW: f64 = 0.1;
+
+/// ln cosh y for y ≥ 0, to 1e-7 of its value.
 fn ln_cosh(y: f64) -> f64 {
-    if y < 0.1 {
-        let square = y * y;
-        square * (0.5 - square * (1.0 / 12.0 - square / 45.0))
-    } else {
-        y + (0.5 + 0.5 * (-2.0 * y).exp()).ln()
-    }
+    if y < SERIES_BELOW { ln_cosh_series(y) } else { y + (0.5 + 0.5 * (-2.0 * y).exp()).ln() }
+}
+
+fn ln_cosh_series(y: f64) -> f64 {
+    let square = y * y;
+    square * (0.5 - square * (1.0 / 12.0 - square / 45.0))
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::kernel::spline_integral;
     use super::*;
 
     /// Uniform in 0 … 1: SplitMix64 (Steele, Lea, Flood 2014).

@@ -38,9 +38,9 @@ pub(super) fn surface(properties: &Properties, temperature_k: f64) -> f64 {
     moles * fuel / (moles * fuel + (1.0 - moles) * gas)
 }
 
-/// F(B) = (1 + B)^0.7 ln(1 + B)/B, the thickening of the film.
-fn thickening(transfer: f64) -> f64 {
-    if transfer < 1e-9 { 1.0 } else { (1.0 + transfer).powf(0.7) * transfer.ln_1p() / transfer }
+/// F(B) = (1 + B)^0.7 ln(1 + B)/B, the thickening of the film, from B and ln(1 + B).
+fn thickening(transfer: f64, blowing: f64) -> f64 {
+    if transfer < 1e-9 { 1.0 } else { (0.7 * blowing).exp() * blowing / transfer }
 }
 
 /// Rates of a droplet of a diameter in m at a temperature in K. Condensation is left out.
@@ -56,10 +56,10 @@ pub(super) fn rates(properties: &Properties, diameter_m: f64, temperature_k: f64
     let diffusion = density * film.diffusivity_m2_s;
     let viscosity = film.gas_pa_s;
     let reynolds = density * around.slip_m_s * diameter_m / viscosity;
-    let stirring = reynolds.max(1.0).powf(0.077);
+    let stirring = if reynolds > 1.0 { reynolds.powf(0.077) } else { 1.0 };
     let number = |other: f64| 1.0 + (1.0 + reynolds * other).cbrt() * stirring;
-    let sherwood = 2.0 + (number(viscosity / diffusion) - 2.0) / thickening(transfer);
     let blowing = transfer.ln_1p();
+    let sherwood = 2.0 + (number(viscosity / diffusion) - 2.0) / thickening(transfer, blowing);
     let mass_kg_s = PI * diameter_m * diffusion * sherwood * blowing;
     // c_v/c_g · Sh/Nu / Le, with Nu found from the heat transfer number it belongs to.
     let still = number(viscosity * capacity / conductivity);
@@ -68,7 +68,8 @@ pub(super) fn rates(properties: &Properties, diameter_m: f64, temperature_k: f64
     let mut heating = blowing;
     for _ in 0..3 {
         heating = film.vapour_j_kg_k / capacity * sherwood / (nusselt * lewis) * blowing;
-        nusselt = 2.0 + (still - 2.0) / thickening(heating.min(50.0).exp_m1());
+        let blowing = heating.min(50.0);
+        nusselt = 2.0 + (still - 2.0) / thickening(blowing.exp_m1(), blowing);
     }
     // ln(1 + B_T)/B_T, which is 1 without evaporation.
     let shield = if heating < 1e-9 { 1.0 } else { heating / heating.min(500.0).exp_m1() };

@@ -427,8 +427,10 @@ impl Jet {
         for (drops, wanted) in tube.drops.iter_mut().zip(wanted) {
             let Some((lost, warming)) = wanted else { continue };
             drops.left -= part * lost;
-            drops.temperature_k = (drops.temperature_k + part * warming)
-                .clamp(220.0, properties.boiling_k.max(self.start.fuel_k));
+            // Gas warms droplets up to its own temperature, however steep the way there is for the smallest.
+            let warmest =
+                drops.temperature_k.max(tube.gas_k).min(properties.boiling_k.max(self.start.fuel_k));
+            drops.temperature_k = (drops.temperature_k + part * warming).clamp(220.0, warmest.max(220.0));
             if drops.left < GONE {
                 drops.left = 0.0;
             }

@@ -107,8 +107,10 @@ pub fn spray(source: &SpraySource<Injector>, fuel: &Fuel) -> Result<ParametricSp
         .unwrap_or_else(|| (tips_m[1] / CELLS_TO_LENGTH).clamp(CELL_RANGE_M[0], CELL_RANGE_M[1]));
     let spreading = Spreading::new(&jet, &place, cell_m).map_err(|e| format!("[medium] cell_m: {e}"))?;
     let molar = fuel.molar_mass_kg_mol();
-    let mut field = spreading.field(molar, |t| properties.at(t).liquid_kg_m3);
-    let shots = SprayShots::new(&spreading, &field.cells, source.tip_m, source.shots, source.seed);
+    let scattered = spreading.scattered();
+    let mut field = spreading.field(&scattered, molar, |t| properties.at(t).liquid_kg_m3);
+    let shots =
+        SprayShots::new(&spreading, &scattered, &field.cells, source.tip_m, source.shots, source.seed);
     if let Some(shot) = source.shot {
         field = scaled(field, &shots.factors(shot));
     }

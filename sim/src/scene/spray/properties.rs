@@ -120,6 +120,8 @@ impl Properties {
     }
 
     /// Properties at a temperature in K, linear between whole kelvins.
+    // Most callers need two or three of them: inlined, the others are not computed.
+    #[inline]
     pub(super) fn at(&self, temperature_k: f64) -> Node {
         let place = (temperature_k - RANGE_K[0]).clamp(0.0, (NODES - 1) as f64);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the table")]

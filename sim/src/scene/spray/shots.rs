@@ -12,7 +12,7 @@
 
 use super::description::ShotLaw;
 use super::place::{Place, dot};
-use super::spread::Spreading;
+use super::spread::{Scattered, Spreading};
 use crate::rig::noise::{Purpose, Stream};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -54,6 +54,7 @@ pub struct SprayShots {
 impl SprayShots {
     pub(super) fn new(
         spreading: &Spreading<'_>,
+        scattered: &Scattered,
         cells: &[u32],
         tip_m: [f64; 3],
         law: ShotLaw,
@@ -76,7 +77,7 @@ impl SprayShots {
             })
             .collect();
         let mut lists = vec![Vec::new(); cells.len()];
-        for (jet, fuel) in (0_u32..).zip(spreading.fuel_by_jet()) {
+        for (jet, fuel) in (0_u32..).zip(spreading.fuel_by_jet(scattered)) {
             let mut ordinal = 0;
             for (cell, fuel_kg) in fuel {
                 while cells[ordinal] < cell {
@@ -94,6 +95,18 @@ impl SprayShots {
             start.push(parts.len());
         }
         Self { seed, law, jets: spreading.place.jets(), places, start, parts }
+    }
+
+    /// The same law with other random numbers.
+    #[must_use]
+    pub fn with_seed(self, seed: u64) -> Self {
+        Self { seed, ..self }
+    }
+
+    /// Whether shots differ at all.
+    pub fn fluctuates(&self) -> bool {
+        let ShotLaw { turbulence, mass, angle_deg, .. } = self.law;
+        turbulence > 0.0 || mass > 0.0 || angle_deg > 0.0
     }
 
     /// Factors of shot number `shot` on the densities of liquid and vapour, one per occupied cell of the field, in its
@@ -176,34 +189,84 @@ impl SprayShots {
     }
 
     /// Standard normal numbers, smooth in space, per occupied cell.
-    pub(super) fn turbulence(&self, shot: u64) -> Vec<f64> {
+    fn turbulence(&self, shot: u64) -> Vec<f64> {
         if self.law.turbulence <= 0.0 {
             return vec![0.0; self.places.len()];
         }
+        let eddies = self.eddies(shot);
+        self.places.par_iter().map(|&place| eddies.at(place)).collect()
+    }
+
+    /// The turbulence of a shot.
+    pub(super) fn eddies(&self, shot: u64) -> Eddies {
         let stream = Stream::new(self.seed, Purpose::Turbulence, shot);
-        // Wave vector, amplitude and phase of each mode: Rayleigh amplitudes and even phases are pairs of normal
-        // amplitudes of cosine and sine, so that the sum is normal at every place.
-        let modes: Vec<([f64; 4], f64, f64)> = (0..MODES as u64)
-            .map(|mode| {
-                let wave = std::array::from_fn(|a| stream.gaussian(8 * mode + a as u64));
-                let amplitude = (-2.0 * stream.uniform(8 * mode + 4).ln() / MODES as f64).sqrt();
-                (wave, amplitude, 2.0 * PI * stream.uniform(8 * mode + 5))
-            })
-            .collect();
-        self.places
-            .par_iter()
-            .map(|place| {
-                modes
-                    .iter()
-                    .map(|(wave, amplitude, phase)| {
-                        let angle: f64 = wave.iter().zip(place).map(|(k, y)| k * y).sum();
-                        amplitude * libm::cos(angle + phase)
-                    })
-                    .sum()
-            })
-            .collect()
+        let mut eddies = Eddies { waves: [[0.0; MODES]; 4], phases: [0.0; MODES], amplitudes: [0.0; MODES] };
+        for (i, mode) in (0..MODES as u64).enumerate() {
+            for (a, wave) in (0..4_u64).zip(&mut eddies.waves) {
+                wave[i] = stream.gaussian(8 * mode + a) / (2.0 * PI);
+            }
+            eddies.amplitudes[i] = (-2.0 * stream.uniform(8 * mode + 4).ln() / MODES as f64).sqrt();
+            eddies.phases[i] = stream.uniform(8 * mode + 5);
+        }
+        eddies
     }
 }
+
+/// A sum of cosines that is normal at every place: Rayleigh amplitudes and even phases are pairs of normal amplitudes of
+/// cosine and sine.
+pub(super) struct Eddies {
+    /// Wave vectors of the modes, axis by axis, in turns, and phases in turns.
+    waves: [[f64; MODES]; 4],
+    phases: [f64; MODES],
+    amplitudes: [f64; MODES],
+}
+
+impl Eddies {
+    /// The standard normal number at a place (ln r, direction)/λ.
+    pub(super) fn at(&self, place: [f64; 4]) -> f64 {
+        // One mode after another in each step, so that steps are done several modes at a time.
+        let mut values = self.phases;
+        for (wave, along) in self.waves.iter().zip(place) {
+            for (turns, k) in values.iter_mut().zip(wave) {
+                *turns += k * along;
+            }
+        }
+        for (value, amplitude) in values.iter_mut().zip(&self.amplitudes) {
+            *value = amplitude * cosine(*value);
+        }
+        values.iter().sum()
+    }
+}
+
+/// cos 2πx to 1e-14, for |x| below 2⁵¹; the same bits on every machine.
+fn cosine(turns: f64) -> f64 {
+    // Adding and taking away 1.5 · 2⁵² rounds to a whole number.
+    const WHOLE: f64 = 6_755_399_441_055_744.0;
+    let part = turns - ((turns + WHOLE) - WHOLE);
+    // cos 2πx = 1 − 2 sin² πx, and the series of sin y up to y = π/2, y²¹/21! < 3e-16.
+    let y = PI * part;
+    let square = y * y;
+    let mut sum = 0.0;
+    for term in SINE {
+        sum = sum * square + term;
+    }
+    let sine = y * sum;
+    1.0 - 2.0 * sine * sine
+}
+
+/// Coefficients of the series of sin y / y in y², the highest first: ±1/(2n + 1)!.
+const SINE: [f64; 10] = [
+    -8.220_635_246_624_33e-18,
+    2.811_457_254_345_520_6e-15,
+    -7.647_163_731_819_816e-13,
+    1.605_904_383_682_161_3e-10,
+    -2.505_210_838_544_172e-8,
+    2.755_731_922_398_589_3e-6,
+    -1.984_126_984_126_984e-4,
+    8.333_333_333_333_333e-3,
+    -1.666_666_666_666_666_6e-1,
+    1.0,
+];
 
 /// −∂ln ρ/∂δ of a plume at a place, how much denser it gets there by a tilt of the plume, per rad; and η there.
 fn slope(spreading: &Spreading<'_>, jet: usize, at: [f64; 3]) -> ([f64; 2], f64) {
@@ -215,5 +278,25 @@ fn slope(spreading: &Spreading<'_>, jet: usize, at: [f64; 3]) -> ([f64; 2], f64)
         Place::Holes(_) => ([slope * towards[0], slope * towards[1]], eta),
         // A sheet can only open or close.
         Place::Cone { .. } => ([slope, 0.0], eta),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_cosine_is_the_librarys() {
+        for i in -20_000..20_000 {
+            let turns = f64::from(i) * 7.3e-4;
+            let error = cosine(turns) - libm::cos(2.0 * PI * turns);
+            // 2π times the rounding of up to 15 turns.
+            assert!(error.abs() < 2e-14, "{turns}: {error}");
+        }
+        for (turns, expected) in
+            [(0.0, 1.0), (0.25, 0.0), (0.5, -1.0), (-3.0, 1.0), (1e9 + 0.125, 0.5_f64.sqrt())]
+        {
+            assert!((cosine(turns) - expected).abs() < 1e-14, "{turns}");
+        }
     }
 }

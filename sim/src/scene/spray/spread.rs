@@ -95,22 +95,25 @@ impl<'a> Spreading<'a> {
         self.jet.sections[element.section].fuel_kg * (to - from)
     }
 
-    /// Shares of the mass of an element of jet `jet` by cell, added to `shares`; touched cells are listed.
-    fn scatter(&self, jet: usize, element: Element, shares: &mut [f64], touched: &mut Vec<u32>) {
-        let section = &self.jet.sections[element.section];
-        let profile = self.jet.profile(section);
+    /// Area within each node of an element's radii, as a share of the section: smooth over the share of the fuel even in the
+    /// middle, where η is not.
+    fn areas(&self, element: Element) -> [f64; NODES + 1] {
+        let profile = self.jet.profile(&self.jet.sections[element.section]);
         let [from, to] = Jet::tube_shares(element.tube);
+        std::array::from_fn(|i| profile.area(profile.eta(from + (to - from) * i as f64 / NODES as f64)))
+    }
+
+    /// Shares of the mass of an element of jet `jet`, with these areas, by cell, added to `cells`.
+    fn scatter(&self, jet: usize, element: Element, areas: &[f64; NODES + 1], cells: &mut Cells) {
+        let profile = self.jet.profile(&self.jet.sections[element.section]);
         let begin = self.jet.step_m * element.section as f64;
         let middle = begin + 0.5 * self.jet.step_m;
         let half = self.jet.start.opening.half_m(middle);
-        let part = profile.area(profile.eta(to)) - profile.area(profile.eta(from));
+        let part = areas[NODES] - areas[0];
         let volume = part * self.jet.step_m * self.jet.start.opening.area_m2(middle);
         let wanted = volume * POINTS.powi(3) / self.grid.cell_volume_m3();
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "within POINTS_RANGE")]
         let points = wanted.clamp(POINTS_RANGE[0], POINTS_RANGE[1]).ceil() as u32;
-        // Area over share of the fuel is smooth even in the middle, where η is not.
-        let areas: [f64; NODES + 1] =
-            std::array::from_fn(|i| profile.area(profile.eta(from + (to - from) * i as f64 / NODES as f64)));
         let sheet = matches!(self.jet.start.opening, Opening::Sheet { .. });
         // A start of its own for each element, so that neighbours do not repeat each other.
         let offset = (element.section * 16 + element.tube + 1000 * jet) as f64 * 0.618_033_988_749_895;
@@ -133,12 +136,12 @@ impl<'a> Spreading<'a> {
             };
             let bowed = (s + BOW * half * (mean_bow - eta * eta)).max(0.25 * s);
             let at = self.place.point(jet, bowed, aside, angle);
-            self.deposit(at, 1.0 / f64::from(points), shares, touched);
+            self.deposit(at, 1.0 / f64::from(points), cells);
         }
     }
 
     /// Shares a point among the eight cells around it.
-    fn deposit(&self, at: [f64; 3], share: f64, shares: &mut [f64], touched: &mut Vec<u32>) {
+    fn deposit(&self, at: [f64; 3], share: f64, cells: &mut Cells) {
         let size = self.grid.cell_m();
         let mut low = [0_usize; 3];
         let mut part = [0.0; 3];
@@ -158,54 +161,58 @@ impl<'a> Spreading<'a> {
             let bit = |a: usize| corner >> a & 1;
             let weight: f64 = (0..3).map(|a| if bit(a) == 1 { part[a] } else { 1.0 - part[a] }).product();
             let cell = self.grid.linear(std::array::from_fn(|a| low[a] + bit(a)));
-            let value = weight * share;
-            if value > 0.0 {
-                if shares[cell] <= 0.0 {
-                    touched.push(u32::try_from(cell).unwrap_or(u32::MAX));
-                }
-                shares[cell] += value;
-            }
+            cells.add(cell, weight * share);
         }
+    }
+
+    /// Every element of every jet on the grid.
+    pub(super) fn scattered(&self) -> Scattered {
+        let elements = self.elements();
+        let jets = self.place.jets();
+        let by_jet = elements
+            .par_iter()
+            .map_init(
+                || Cells::new(self.grid.len()),
+                |cells, &element| {
+                    let areas = self.areas(element);
+                    let on_grid = |jet| {
+                        self.scatter(jet, element, &areas, cells);
+                        cells.drain()
+                    };
+                    (0..jets).map(on_grid).collect()
+                },
+            )
+            .collect();
+        Scattered { elements, by_jet }
     }
 
     /// The spray's field, all jets together.
     pub(super) fn field(
         &self,
+        scattered: &Scattered,
         fuel_molar_kg_mol: f64,
         liquid_kg_m3: impl Fn(f64) -> f64 + Sync,
     ) -> SprayField {
-        let elements = self.elements();
-        let jets = self.place.jets();
-        let pairs: Vec<Vec<(u32, f64)>> = elements
-            .par_iter()
-            .map_init(
-                || (vec![0.0; self.grid.len()], Vec::new()),
-                |(shares, touched), &element| {
-                    for jet in 0..jets {
-                        self.scatter(jet, element, shares, touched);
-                    }
-                    drain(shares, touched)
-                },
-            )
-            .collect();
-        self.assemble(&elements, &pairs, fuel_molar_kg_mol, liquid_kg_m3)
+        let sum = |cells: &mut Cells, jets: &Vec<Vec<(u32, f64)>>| {
+            jets.iter().flatten().for_each(|&(cell, share)| cells.add(cell as usize, share));
+            cells.drain()
+        };
+        let pairs: Vec<Vec<(u32, f64)>> =
+            scattered.by_jet.par_iter().map_init(|| Cells::new(self.grid.len()), sum).collect();
+        self.assemble(&scattered.elements, &pairs, fuel_molar_kg_mol, liquid_kg_m3)
     }
 
     /// Fuel of each jet by cell, kg, ascending in the cell's linear index.
-    pub(super) fn fuel_by_jet(&self) -> Vec<Vec<(u32, f64)>> {
-        let elements = self.elements();
+    pub(super) fn fuel_by_jet(&self, scattered: &Scattered) -> Vec<Vec<(u32, f64)>> {
         (0..self.place.jets())
             .into_par_iter()
             .map(|jet| {
-                let mut sum = vec![0.0; self.grid.len()];
-                let (mut shares, mut touched) = (vec![0.0; self.grid.len()], Vec::new());
-                for &element in &elements {
-                    self.scatter(jet, element, &mut shares, &mut touched);
-                    for (cell, share) in drain(&mut shares, &mut touched) {
-                        sum[cell as usize] += share * self.fuel_kg(element);
-                    }
+                let mut cells = Cells::new(self.grid.len());
+                for (&element, by_jet) in scattered.elements.iter().zip(&scattered.by_jet) {
+                    let fuel_kg = self.fuel_kg(element);
+                    by_jet[jet].iter().for_each(|&(cell, share)| cells.add(cell as usize, share * fuel_kg));
                 }
-                (0_u32..).zip(sum).filter(|(_, kg)| *kg > 0.0).collect()
+                cells.drain()
             })
             .collect()
     }
@@ -298,12 +305,42 @@ impl<'a> Spreading<'a> {
     }
 }
 
-/// The touched cells with their shares, ascending; both are empty afterwards.
-fn drain(shares: &mut [f64], touched: &mut Vec<u32>) -> Vec<(u32, f64)> {
-    touched.sort_unstable();
-    let list = touched.iter().map(|&cell| (cell, std::mem::take(&mut shares[cell as usize]))).collect();
-    touched.clear();
-    list
+/// Elements on the grid.
+pub(super) struct Scattered {
+    elements: Vec<Element>,
+    /// Per element and jet the cells it reaches, ascending, and the share of its mass that each gets.
+    by_jet: Vec<Vec<Vec<(u32, f64)>>>,
+}
+
+/// Sums by cell, of which few are touched.
+struct Cells {
+    sums: Vec<f64>,
+    touched: Vec<u32>,
+}
+
+impl Cells {
+    fn new(number: usize) -> Self {
+        Self { sums: vec![0.0; number], touched: Vec::new() }
+    }
+
+    fn add(&mut self, cell: usize, value: f64) {
+        if value > 0.0 {
+            if self.sums[cell] <= 0.0 {
+                self.touched.push(u32::try_from(cell).unwrap_or(u32::MAX));
+            }
+            self.sums[cell] += value;
+        }
+    }
+
+    /// The touched cells with their sums, ascending; there are none afterwards.
+    fn drain(&mut self) -> Vec<(u32, f64)> {
+        self.touched.sort_unstable();
+        let sums = &mut self.sums;
+        let list =
+            self.touched.iter().map(|&cell| (cell, std::mem::take(&mut sums[cell as usize]))).collect();
+        self.touched.clear();
+        list
+    }
 }
 
 /// Mean of η² over the fuel of the developed round profile: about which the sections are bowed.

@@ -19,11 +19,20 @@ fn made(source: &SpraySource<Injector>) -> ParametricSpray {
 
 /// The jet alone, without a grid.
 fn jet(source: &SpraySource<Injector>) -> (Jet, Properties) {
+    jet_of(source, |start| start)
+}
+
+fn jet_of(source: &SpraySource<Injector>, change: impl Fn(Start) -> Start) -> (Jet, Properties) {
     let thermal = FuelProperties::named(&source.fuel).unwrap();
     let feed = source.injector.feed();
     let properties = Properties::new(thermal, source.gas.pressure_pa, feed.fuel_temperature_k);
-    let start = start(source, thermal, &properties);
+    let start = change(start(source, thermal, &properties));
     (Jet::at(start, &properties, source.time_s).unwrap(), properties)
+}
+
+/// The jet's fuel and gas alone: droplets in it move with it and change neither.
+fn flow(source: &SpraySource<Injector>) -> (Jet, Properties) {
+    jet_of(source, |start| Start { classes: Vec::new(), ..start })
 }
 
 /// Liquid and vapour on the grid are what was injected: 1e-6, of which 2e-7 are the tail that is cut off and the rest
@@ -52,7 +61,7 @@ fn mass_on_the_grid_is_the_mass_injected() {
 /// Flow of Bernoulli's equation, by hand: 8 · 0.5 · π/4 d² √(2 ρ Δp), 0.8 % of it for ρ(363 K) by another route.
 #[test]
 fn the_flow_is_that_of_spray_g() {
-    let summary = made(&multi_hole("cell_m = 0.002")).summary;
+    let summary = made(&multi_hole("time_s = 1e-4\ncell_m = 0.002")).summary;
     let by_hand = 8.0 * 0.5 * PI / 4.0 * 165e-6_f64.powi(2) * (2.0 * 630.0 * 194e5_f64).sqrt();
     assert!((summary.flow_kg_s / by_hand - 1.0).abs() < 0.01, "{}", summary.flow_kg_s);
     // 10 mg in 0.78 ms.
@@ -99,18 +108,27 @@ fn the_tip_is_as_published() {
         let source = multi_hole(&format!(
             "time_s = {time_s}\ngas = {{ pressure_pa = {gas_pa} }}\nplume = {{ angle_deg = {angle} }}"
         ));
-        let (jet, properties) = jet(&source);
+        let (jet, properties) = flow(&source);
         let [naber_siebers, _] = published_tips_m(&source, &properties, angle).unwrap();
         let ratio = jet.within_m(0.99) / naber_siebers;
         assert!((0.88..1.04).contains(&ratio), "{time_s} {gas_pa}: {ratio}");
     }
 }
 
+#[test]
+fn droplets_do_not_move_the_jet() {
+    let source = multi_hole("time_s = 1.5e-4\ninjector = { duration_s = 1e-4 }");
+    let [(with, _), (without, _)] = [jet(&source), flow(&source)];
+    assert!((with.step_m / without.step_m - 1.0).abs() < 1e-15);
+    let fuel = |jet: &Jet| -> Vec<f64> { jet.sections.iter().map(|s| s.fuel_kg).collect() };
+    assert_eq!(fuel(&with), fuel(&without));
+}
+
 /// Musculus and Kattke's entrainment wave: near the nozzle the jet leans out once the injection has ended.
 #[test]
 fn after_the_injection_the_spray_leaves_the_nozzle() {
     let near = |time_s: f64| {
-        let (jet, _) = jet(&multi_hole(&format!("time_s = {time_s}\ninjector = {{ duration_s = 3e-4 }}")));
+        let (jet, _) = flow(&multi_hole(&format!("time_s = {time_s}\ninjector = {{ duration_s = 3e-4 }}")));
         let first: f64 = jet
             .sections
             .iter()
@@ -140,11 +158,11 @@ fn evaporation_goes_the_right_way() {
         };
         jet.sections.iter().map(part).sum::<f64>() / jet.fuel_kg()
     };
-    let usual = share("");
-    assert!(share("time_s = 3e-4") < usual);
-    assert!(share("gas = { temperature_k = 400 }") < usual);
-    assert!(share("droplets = { sauter_mean_m = 20e-6 }") < usual);
-    assert!(share("injector = { fuel_temperature_k = 300 }") < usual);
+    let usual = share("time_s = 2e-4");
+    assert!(share("time_s = 1e-4") < usual);
+    assert!(share("time_s = 2e-4\ngas = { temperature_k = 400 }") < usual);
+    assert!(share("time_s = 2e-4\ndroplets = { sauter_mean_m = 20e-6 }") < usual);
+    assert!(share("time_s = 2e-4\ninjector = { fuel_temperature_k = 300 }") < usual);
     // Superheated fuel flashes, cold gas hardly evaporates, and nothing leaves 0 … 1.
     for (text, range) in [
         ("gas = { pressure_pa = 5e4 }\ninjector = { fuel_temperature_k = 363 }", 0.3..1.0),
@@ -216,16 +234,32 @@ fn eddies_have_the_stated_size() {
         pairs.push((cell, (-0.5 * distance / (lambda * lambda)).exp()));
     }
     let shots = 1000_u64;
-    let fields: Vec<Vec<f64>> = (0..shots).map(|shot| made.shots.turbulence(shot)).collect();
+    let eddies: Vec<_> = (0..shots).map(|shot| made.shots.eddies(shot)).collect();
+    let values =
+        |cell: usize| -> Vec<f64> { eddies.iter().map(|eddies| eddies.at(made.shots.place(cell))).collect() };
+    let at_first = values(first);
     let mut seen = [false; 2];
     for (cell, expected) in pairs {
-        let got = fields.iter().map(|f| f[first] * f[cell]).sum::<f64>() / shots as f64;
+        let got = at_first.iter().zip(values(cell)).map(|(a, b)| a * b).sum::<f64>() / shots as f64;
         // Five standard errors of a product of two normal numbers.
         assert!((got - expected).abs() < 5.0 * (2.0 / shots as f64).sqrt(), "{got} {expected}");
         seen[0] |= expected < 0.3;
         seen[1] |= (0.4..0.9).contains(&expected);
     }
     assert_eq!(seen, [true; 2], "near and far cells were compared");
+}
+
+#[test]
+fn a_seed_names_the_shots_and_a_law_of_zeros_has_none() {
+    let text = "time_s = 1e-4\ncell_m = 0.002";
+    let [one, two] = [1, 2].map(|seed| made(&multi_hole(&format!("{text}\nseed = {seed}"))).shots);
+    let third = two.factors(3);
+    assert_ne!(one.factors(3), third);
+    assert!(one.fluctuates());
+    assert_eq!(one.with_seed(2).factors(3), third);
+    let still =
+        made(&multi_hole(&format!("{text}\nshots = {{ turbulence = 0, mass = 0, angle_deg = 0 }}"))).shots;
+    assert!(!still.fluctuates() && still.factors(3).iter().all(|f| (f - 1.0).abs() < 1e-6));
 }
 
 #[test]
@@ -239,8 +273,9 @@ fn a_shot_has_the_same_bits_on_any_number_of_threads() {
     assert_eq!(one, on(3));
     let mut other = source.clone();
     other.shot = Some(8);
-    assert_ne!(one, made(&other).field);
-    assert_eq!(one.cells, made(&other).field.cells);
+    let other = made(&other).field;
+    assert_ne!(one, other);
+    assert_eq!(one.cells, other.cells);
 }
 
 #[test]
@@ -264,7 +299,7 @@ fn impossible_values_are_refused_with_table_key_and_range() {
         ("injector = { fuel_temperature_k = 700 }", vec!["[medium.injector] fuel_temperature_k", "700 K"]),
         ("droplets = { spread = 1.0 }", vec!["[medium.droplets] spread is 1", "1.3 to 20"]),
         ("evaporates_as = \"water\"", vec!["[medium] evaporates_as", "water", "isooctane"]),
-        ("cell_m = 2e-5", vec!["[medium] cell_m", "cells"]),
+        ("time_s = 2e-4\ncell_m = 2e-5", vec!["[medium] cell_m", "cells"]),
         ("shots = { turbulence = -0.1 }", vec!["[medium.shots] turbulence is -0.1"]),
     ] {
         let source = multi_hole(text);
@@ -274,7 +309,7 @@ fn impossible_values_are_refused_with_table_key_and_range() {
         }
     }
     // A mixture evaporates as somebody says.
-    let mut mixture = multi_hole("cell_m = 0.002");
+    let mut mixture = multi_hole("time_s = 1e-4\ncell_m = 0.002");
     mixture.fuel = "E10-surrogate".to_owned();
     let fuel = Fuel::named("E10-surrogate").unwrap();
     let error = spray(&mixture, &fuel).unwrap_err();
@@ -355,7 +390,9 @@ fn extreme_values_give_finite_fields() {
         ),
     ];
     for (fuel, text) in cases {
-        let mut source = multi_hole(text);
+        // Nothing but the first two is about time.
+        let time = if text.starts_with("time_s") { "" } else { "time_s = 2e-4\n" };
+        let mut source = multi_hole(&format!("{time}{text}"));
         source.fuel = fuel.to_owned();
         let ParametricSpray { field, summary, .. } = made(&source);
         let mass = (summary.liquid_kg + summary.vapour_kg) / summary.injected_kg;
@@ -374,8 +411,8 @@ fn extreme_values_give_finite_fields() {
         }
     }
     for text in [
-        "injector = { cone_angle_deg = 175, sheet_thickness_m = 2e-6 }\ncell_m = 0.002",
-        "injector = { cone_angle_deg = 5, pintle_diameter_m = 0.05, sheet_thickness_m = 1e-3 }\ncell_m = 0.003",
+        "time_s = 2e-4\ninjector = { cone_angle_deg = 175, sheet_thickness_m = 2e-6 }\ncell_m = 0.002",
+        "time_s = 2e-4\ninjector = { cone_angle_deg = 5, pintle_diameter_m = 0.05, sheet_thickness_m = 1e-3 }\ncell_m = 0.003",
     ] {
         let summary = made(&hollow_cone(text)).summary;
         assert!(

@@ -165,11 +165,7 @@ pub(super) fn import(watch: &Watch<'_>) -> Result<Findings, CommandError> {
                     "time / s",
                     vec![marked("deposit", depositing), marked("image, no scattering", rendering)],
                 ),
-                log_log(
-                    label,
-                    "rms difference of the transmission from that at 0.25 mm",
-                    vec![marked("", errors)],
-                ),
+                log_log(label, "rms difference of transmission from 0.25 mm", vec![marked("", errors)]),
             ],
         ),
     });
