@@ -77,9 +77,50 @@ fn stat(image: &Operator, name: &str) -> Option<f64> {
     image.stats.iter().find(|(n, _)| n == name).map(|(_, v)| *v)
 }
 
+/// Plate and medium of all pixels: those that meet no medium see the plate, which fills the view.
+fn whole(image: &Operator) -> [Vec<f64>; 2] {
+    let mut all = [vec![1.0; ROWS * COLUMNS], vec![0.0; ROWS * COLUMNS]];
+    for (i, &pixel) in image.pixels.iter().enumerate() {
+        all[0][pixel as usize] = f64::from(image.a_plate[i]);
+        all[1][pixel as usize] = f64::from(image.emission[i]);
+    }
+    all
+}
+
 fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.fold((0.0, 0.0), |(s, n), v| (s + v * v, n + 1.0));
     f64::sqrt(sum / count)
+}
+
+/// Below a tenth of the target no path is traced, and no pixel moves by more than the albedo; just above, paths are.
+#[test]
+fn scattering_below_the_target_is_left_out() {
+    for target in [1e-2, 1e-3] {
+        let limit = 0.1 * target;
+        let faint = blob(0.9 * limit, 1);
+        let skipped = render(&faint, target);
+        assert_eq!(stat(&skipped, "skipped_scattering"), Some(1.0));
+        for work in ["paths", "scatterings", "leaves"] {
+            assert!(stat(&skipped, work).is_none(), "{work} at {target}");
+        }
+        let stated = stat(&skipped, "skipped_scattering_error").unwrap();
+        // The albedo, to the rounding of 1 − ω in single precision.
+        assert!((stated - 0.9 * limit).abs() < 6e-8 && stated < limit, "{stated}");
+        // A finer target traces it.
+        let traced = render(&faint, 0.5 * target);
+        assert!(stat(&traced, "paths").unwrap() > 100.0 && stat(&traced, "skipped_scattering").is_none());
+        // What scattered light adds to a pixel is at most the albedo; both images follow their sights to the target's rms.
+        let sights = |image: &Operator| rms(image.error_plate.iter().map(|e| f64::from(*e)));
+        let own = sights(&traced).hypot(sights(&skipped));
+        for (a, b) in whole(&traced).iter().zip(&whole(&skipped)) {
+            let met = a.iter().zip(b).filter(|(a, b)| (**a - **b).abs() > 0.0);
+            let moved = rms(met.map(|(a, b)| a - b));
+            println!("{target}: moved {moved:.1e}, stated {stated:.1e}, own {own:.1e}");
+            assert!(moved <= stated + 2.0 * own, "{target}: {moved} {stated} {own}");
+        }
+        let above = render(&blob(1.1 * limit, 1), target);
+        assert!(stat(&above, "paths").unwrap() > 100.0 && stat(&above, "skipped_scattering").is_none());
+    }
 }
 
 /// Asked not to, nothing is scattered, and what would have been is lost: the stated error is that of doing as told, none.
