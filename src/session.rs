@@ -283,6 +283,7 @@ fn refit(
     }
     let estimator =
         estimator.or_else(|| fitting::estimator(&config.fit.estimator)).unwrap_or(Estimator::Default);
+    let reduced = fitting::final_state(&reduced, config, calibrated, estimator, &mut archive)?;
     let truth = result::read_world(&folder.world())?;
     Ok(result::write(
         out,
@@ -517,6 +518,9 @@ fn finish(
     let config = setting.config;
     let estimator = fitting::estimator(&config.fit.estimator).unwrap_or(Estimator::Default);
     let console = Console::new("result");
+    console.fraction("shots without spray, spikes", 0.1);
+    let mut archive = Archive::new(folder.root(), config.camera.rows * config.camera.columns);
+    let reduced = &fitting::final_state(reduced, config, calibrated, estimator, &mut archive)?;
     console.fraction("what the simulated world knows of itself", 0.3);
     if let Some(truth) = prepared.truth(reduced, config, folder.root())? {
         result::write_world(folder, &truth)?;

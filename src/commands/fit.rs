@@ -153,6 +153,7 @@ fn summary(stack: &Stack, inputs: &map::FitInputs<'_>, fitted: &Fitted) -> Value
             "received": levels.iter().map(|l| l.cycles).sum::<usize>(),
             "accepted": levels.iter().map(|l| l.accepted).sum::<usize>(),
             "rejected": levels.iter().map(|l| l.rejected.len()).sum::<usize>(),
+            "spike_samples": levels.iter().map(|l| l.spike_samples).sum::<u64>(),
         },
         "flags": flags,
         "temperature_k": quantiles(&map.temperature_k),
@@ -179,6 +180,9 @@ fn readable(fitted: &Fitted, out: &Path) -> String {
         for rejected in &level.rejected {
             text +=
                 &format!("  [cycle {}: {}, score {:.2}]", rejected.cycle, rejected.reason, rejected.score);
+        }
+        if level.spike_samples > 0 {
+            text += &format!("  [{} spikes in {} cycles]", level.spike_samples, level.spikes.len());
         }
         text += "\n";
     }

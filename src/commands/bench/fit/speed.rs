@@ -1,0 +1,133 @@
+//! Times of sums and solves on full frames, 640 × 512 pixels and five levels, beside a copy of the bytes touched.
+
+use super::super::{Figure, Watch};
+use super::shots::{self, CAMERA, Field, PLATES_K, STRONG};
+use crate::estimate::accumulate::Sums;
+use crate::estimate::map::{DitMap, Estimator, Solved, solve, solve_into};
+use std::hint::black_box;
+
+const ROWS: usize = 512;
+const COLUMNS: usize = 640;
+const CYCLES: usize = 10;
+const SEED: u64 = 77;
+
+/// Bytes of a pixel that a cycle of one blank reads and writes: ΣY, ΣY², Σ blanks, count, twice; two samples.
+const BYTES_TOUCHED: usize = 2 * (8 + 8 + 8 + 4) + 4;
+
+type Pair = (Vec<u16>, Vec<u16>);
+
+/// Times on one thread and on all.
+pub(super) fn figures(watch: &Watch<'_>) -> Result<Vec<Figure>, String> {
+    let field = Field { rows: ROWS, columns: COLUMNS, regime: STRONG, common: 0.5 };
+    let pairs: Vec<Vec<Pair>> = (0..PLATES_K.len())
+        .map(|level| (0..CYCLES).map(|cycle| field.pair(level, cycle, SEED)).collect())
+        .collect();
+    let truths = field.truths();
+    let mut figures = Vec::new();
+    for threads in [1, 2] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(|e| e.to_string())?;
+        pool.install(|| measured(watch, &pairs, &truths, threads, &mut figures));
+    }
+    Ok(figures)
+}
+
+fn empty() -> Sums {
+    Sums::new(PLATES_K.len(), ROWS, COLUMNS, 1, 16_383).expect("one blank is allowed")
+}
+
+fn add_all(sums: &mut Sums, pairs: &[Vec<Pair>]) {
+    for (level, pairs) in pairs.iter().enumerate() {
+        for (blank, spray) in pairs {
+            sums.add_cycle(level, &[blank], spray).expect("frames of this shape");
+        }
+    }
+}
+
+fn measured(
+    watch: &Watch<'_>,
+    pairs: &[Vec<Pair>],
+    truths: &[shots::Truth],
+    threads: usize,
+    figures: &mut Vec<Figure>,
+) {
+    let mut say = |name: &str, seconds: f64, error: f64, kind: &str| {
+        figures.push(Figure {
+            name: name.to_owned(),
+            seconds,
+            error,
+            error_kind: kind.to_owned(),
+            n: ROWS * COLUMNS,
+            threads,
+            seed: Some(SEED),
+        });
+    };
+    let mut sums = empty();
+    add_all(&mut sums, pairs);
+    // Levels and frames take turns, as in a campaign that never finds its sums in the cache by chance.
+    let mut turn = 0;
+    let mut running = sums.clone();
+    let update = watch.fastest(|| {
+        turn += 1;
+        let level = turn % PLATES_K.len();
+        let (blank, spray) = &pairs[level][turn % CYCLES];
+        running.add_cycle(level, &[blank], spray).expect("a cycle more");
+    });
+    say("a cycle of one blank added", update, 0.0, "exact");
+    if threads == 1 {
+        let half = ROWS * COLUMNS * BYTES_TOUCHED / 2;
+        let buffers: Vec<Vec<u8>> =
+            (0..PLATES_K.len()).map(|i| vec![u8::try_from(i).unwrap_or(0); half]).collect();
+        let mut targets = buffers.clone();
+        let copy = watch.fastest(|| {
+            turn += 1;
+            let at = turn % PLATES_K.len();
+            targets[at].copy_from_slice(black_box(&buffers[at]));
+        });
+        black_box(&targets);
+        say("copy of as many bytes", copy, update / copy, "time of the update over this");
+    }
+    let ten: Vec<&[u16]> = pairs[0].iter().map(|(blank, _)| blank.as_slice()).collect();
+    let mut many = Sums::new(1, ROWS, COLUMNS, 10, 16_383).expect("ten blanks");
+    let ten = watch.fastest(|| many.add_cycle(0, &ten, &pairs[0][0].1).expect("a cycle more"));
+    say("a cycle of ten blanks added", ten, 0.0, "exact");
+    for estimator in [Estimator::Default, Estimator::Paper, Estimator::Ols] {
+        let inputs = shots::inputs(estimator, CAMERA);
+        let map = solve(&sums, &inputs);
+        let kind = "rms of T where emissivity > 0.2, K";
+        let (long, short) =
+            (solving::<f64>(watch, &sums, estimator), solving::<f32>(watch, &sums, estimator));
+        say(&format!("solve, f64: {}", estimator.name()), long.0, rms(&map.temperature_k, truths), kind);
+        let live: Vec<f64> = short.1.temperature_k.iter().map(|&t| f64::from(t)).collect();
+        say(&format!("solve, f32: {}", estimator.name()), short.0, rms(&live, truths), kind);
+    }
+    let mut map = DitMap::<f32>::empty();
+    let inputs = shots::inputs(Estimator::Default, CAMERA);
+    let mut fresh = empty();
+    let whole = watch.best_of(20, || {
+        fresh.clear();
+        add_all(&mut fresh, pairs);
+        solve_into(&fresh, &inputs, &mut map);
+    });
+    let live: Vec<f64> = map.temperature_k.iter().map(|&t| f64::from(t)).collect();
+    say("50 raw pairs to map, f32: default", whole, rms(&live, truths), "rms of T where emissivity > 0.2, K");
+}
+
+/// Time of a solve into memory that is used again, and its map.
+fn solving<F: Solved>(watch: &Watch<'_>, sums: &Sums, estimator: Estimator) -> (f64, DitMap<F>) {
+    let inputs = shots::inputs(estimator, CAMERA);
+    let mut map = DitMap::<F>::empty();
+    let seconds = watch.fastest(|| solve_into(black_box(sums), &inputs, &mut map));
+    (seconds, map)
+}
+
+/// Rms error of T where ε > 0.2, K.
+fn rms(temperature_k: &[f64], truths: &[shots::Truth]) -> f64 {
+    let (mut sum, mut n) = (0.0, 0.0);
+    for (t, truth) in temperature_k.iter().zip(truths) {
+        if truth.emissivity > 0.2 && t.is_finite() {
+            sum += (t - truth.temperature_k).powi(2);
+            n += 1.0;
+        }
+    }
+    (sum / n).sqrt()
+}
