@@ -4,9 +4,11 @@
 
 use crate::estimate::accept::{self, LeftOut, Recorded, Visitor};
 use crate::estimate::accumulate::{AccumulateError, Sums};
+use crate::estimate::convergence::{self, Step};
 use crate::estimate::map::FitInputs;
 use crate::journal::Record;
 use crate::plan::{Plan, Purpose};
+use crate::stack::STEPS_MAX;
 use ditd_drivers::instrument::ShotKind;
 use std::sync::Arc;
 
@@ -227,6 +229,22 @@ impl Reduced {
         Ok(refined)
     }
 
+    /// How the map settles with the number of cycles; nothing for a calibration.
+    ///
+    /// # Errors
+    ///
+    /// [`ReduceError`] when a frame cannot be read again.
+    pub fn convergence(
+        &self,
+        inputs: &FitInputs<'_>,
+        emissivity_min: f64,
+        frames: &mut dyn FrameSource,
+    ) -> Result<Vec<Step>, ReduceError> {
+        let Total::Map(sums) = &self.total else { return Ok(Vec::new()) };
+        let mut recorded = Taken { cycles: &self.taken, frames };
+        convergence::convergence(sums, inputs, emissivity_min, STEPS_MAX, &mut recorded)
+    }
+
     /// Cycles that the plan asks for at a level and that are not accepted yet.
     pub fn missing(&self, level: usize) -> u32 {
         self.plan.levels[level].program.cycles.saturating_sub(self.levels[level].accepted)
@@ -331,17 +349,15 @@ impl Recorded for Taken<'_> {
         self.cycles[level].len()
     }
 
-    fn visit(&mut self, level: usize, visit: &mut Visitor<'_>) -> Result<(), ReduceError> {
-        for (cycle, frames) in self.cycles[level].iter().enumerate() {
-            let mut pictures = Vec::with_capacity(frames.len());
-            for frame in frames {
-                let picture = self.frames.load(&frame.file, frame.index, frame.crc32);
-                pictures.push(picture.map_err(ReduceError)?);
-            }
-            let (spray, blanks) = pictures.split_last().expect("an accepted cycle has blanks and a spray");
-            let blanks: Vec<&[u16]> = blanks.iter().map(|frame| &frame[..]).collect();
-            visit(cycle, &blanks, spray);
+    fn one(&mut self, level: usize, cycle: usize, visit: &mut Visitor<'_>) -> Result<(), ReduceError> {
+        let mut pictures = Vec::new();
+        for frame in &self.cycles[level][cycle] {
+            let picture = self.frames.load(&frame.file, frame.index, frame.crc32);
+            pictures.push(picture.map_err(ReduceError)?);
         }
+        let (spray, blanks) = pictures.split_last().expect("an accepted cycle has blanks and a spray");
+        let blanks: Vec<&[u16]> = blanks.iter().map(|frame| &frame[..]).collect();
+        visit(cycle, &blanks, spray);
         Ok(())
     }
 }

@@ -6,7 +6,8 @@
 use crate::calibrate::{CHI2_MAX, Calibrated};
 use crate::config::Config;
 use crate::estimate::accumulate::{self, Sums};
-use crate::estimate::map::{self, DitMap, Estimator, flag};
+use crate::estimate::map::{self, DitMap, Estimator, FitInputs, flag};
+use crate::estimate::predict::{Forecast, Visit};
 use crate::files::npy::{Array, Values};
 use crate::files::npz::{self, Packing};
 use crate::files::{self, FileError, ResultMeta};
@@ -122,10 +123,30 @@ pub fn provisional(reduced: &Reduced, config: &Config, calibrated: &Calibrated) 
     let (pixels, temperature, sigma) = over_spray(&map::solve(sums, &inputs), config.emissivity_min());
     (pixels > 0).then(|| {
         format!(
-            "so far, misfires and spikes included: {pixels} pixels with emissivity above {}: median {temperature:.2} K, median σ {sigma:.2} K",
-            config.emissivity_min()
+            "so far, misfires and spikes included: {pixels} pixels with emissivity above {}: median {temperature:.2} K, median σ {sigma:.2} K{}",
+            config.emissivity_min(),
+            next(reduced, sums, &inputs, config.emissivity_min()).unwrap_or_default()
         )
     })
+}
+
+/// Pixels on which a forecast rests: medians to 2 %.
+const FORECAST_PIXELS: usize = 2000;
+
+/// The level where one more cycle would lower the median σ most.
+fn next(reduced: &Reduced, sums: &Sums, inputs: &FitInputs<'_>, emissivity_min: f64) -> Option<String> {
+    let forecast = Forecast::of(sums, inputs, emissivity_min, FORECAST_PIXELS);
+    let best = reduced
+        .plan
+        .levels
+        .iter()
+        .map(|level| {
+            let visit = Visit { plate_k: level.set_point_k, cycles: 1.0 };
+            (level.set_point_k, forecast.quantile_k(&[visit], 0.5))
+        })
+        .filter(|(_, sigma)| sigma.is_finite())
+        .min_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some(format!("; one more cycle at {:.1} K would make it {:.2} K", best.0, best.1))
 }
 
 /// The map held against the truth.

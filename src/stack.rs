@@ -6,11 +6,15 @@
 use crate::estimate::accept::{self, LeftOut, Recorded, Visitor};
 use crate::estimate::accumulate::{AccumulateError, Sums};
 use crate::estimate::calibration::{C2_UM_K, CalibrationFit, Range, SakumaHattori};
+use crate::estimate::convergence::{self, Step};
 use crate::estimate::gate;
 use crate::estimate::map::{self, CameraNoise, DitMap, Estimator, FitInputs};
 use crate::files::npy::{FrameReader, NpyError};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+
+/// Most cycles of a level whose influence is told: a solve each.
+pub const STEPS_MAX: usize = 100;
 
 /// A curve as `case.json` writes it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -261,6 +265,21 @@ impl Stack {
         Ok(Fitted { map, levels })
     }
 
+    /// How the map settles with the number of pairs, at most 100 of a level; see [`convergence`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::fit`].
+    pub fn convergence(
+        &mut self,
+        inputs: &FitInputs<'_>,
+        emissivity_min: f64,
+    ) -> Result<Vec<Step>, StackError> {
+        let levels = self.case.pairs_per_setpoint.len();
+        let like = Sums::new(levels, self.spray.rows, self.spray.columns, 1, self.case.saturation_count)?;
+        convergence::convergence(&like, inputs, emissivity_min, STEPS_MAX, self)
+    }
+
     fn empty_summaries(&self, inputs: &FitInputs<'_>) -> Vec<LevelSummary> {
         let cycles = self.case.pairs_per_setpoint.iter();
         cycles
@@ -306,17 +325,15 @@ impl Recorded for Stack {
         self.case.pairs_per_setpoint[level]
     }
 
-    fn visit(&mut self, level: usize, visit: &mut Visitor<'_>) -> Result<(), StackError> {
-        let first = self.case.pairs_per_setpoint[..level].iter().sum();
-        self.spray.go_to(first)?;
-        self.blank.go_to(first)?;
+    fn one(&mut self, level: usize, cycle: usize, visit: &mut Visitor<'_>) -> Result<(), StackError> {
+        let at = self.case.pairs_per_setpoint[..level].iter().sum::<usize>() + cycle;
+        self.spray.go_to(at)?;
+        self.blank.go_to(at)?;
         let pixels = self.spray.rows * self.spray.columns;
         let (mut spray, mut blank) = (vec![0; pixels], vec![0; pixels]);
-        for cycle in 0..self.case.pairs_per_setpoint[level] {
-            self.spray.next_into(&mut spray)?;
-            self.blank.next_into(&mut blank)?;
-            visit(cycle, &[&blank], &spray);
-        }
+        self.spray.next_into(&mut spray)?;
+        self.blank.next_into(&mut blank)?;
+        visit(cycle, &[&blank], &spray);
         Ok(())
     }
 }

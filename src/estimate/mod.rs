@@ -6,6 +6,7 @@
 pub mod accept;
 pub mod accumulate;
 pub mod calibration;
+pub mod convergence;
 pub mod gate;
 pub mod law;
 pub mod line;

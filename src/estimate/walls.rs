@@ -7,7 +7,7 @@
 //! of it only (single scattering in a black cavity, all light that is scattered replaced by the walls'): such a
 //! correction is labelled so and is never applied by default; it would shift by tens of kelvins where the bias is one.
 
-use super::map::{DitMap, FitInputs};
+use super::calibration::SakumaHattori;
 
 /// What is known of the walls' share.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,18 +36,23 @@ pub struct Corrected {
     pub upper_bound: bool,
 }
 
-/// Corrects a map.
+/// Corrects temperatures `seen_k` of standard deviations `sigma_seen_k`, both in K and `[rows · columns]`.
 ///
 /// Panics unless there is one share and one σ per pixel, which is the caller's mistake.
-pub fn corrected(map: &DitMap, inputs: &FitInputs<'_>, light: &WallLight) -> Corrected {
-    let pixels = map.temperature_k.len();
+pub fn corrected(
+    seen_k: &[f64],
+    sigma_seen_k: &[f64],
+    curve: &SakumaHattori,
+    light: &WallLight,
+) -> Corrected {
+    let pixels = seen_k.len();
     assert!(light.share.len() == pixels && light.sigma_share.len() == pixels, "one share per pixel");
-    let curve = &inputs.curve;
+    assert!(sigma_seen_k.len() == pixels, "one σ per pixel");
     // In counts of I_cal all radiances have the same factor ε_B, so it cancels.
     let walls = curve.value(light.wall_k);
     let sigma_walls = curve.derivative(light.wall_k) * light.sigma_wall_k;
     let both = (0..pixels).map(|i| {
-        let (seen_k, w) = (map.temperature_k[i], light.share[i]);
+        let (seen_k, w) = (seen_k[i], light.share[i]);
         if !(0.0..1.0).contains(&w) {
             return (f64::NAN, f64::NAN);
         }
@@ -55,7 +60,7 @@ pub fn corrected(map: &DitMap, inputs: &FitInputs<'_>, light: &WallLight) -> Cor
         let own = (seen - w * walls) / (1.0 - w);
         let kelvin = curve.inverse(own);
         // ∂L_obj: by L_eff 1/(1 − w), by w (L_obj − B)/(1 − w), by B −w/(1 − w).
-        let of_map = curve.derivative(seen_k) * map.sigma_temperature_k[i];
+        let of_map = curve.derivative(seen_k) * sigma_seen_k[i];
         let of_share = (own - walls) * light.sigma_share[i];
         let of_walls = w * sigma_walls;
         let sigma = of_map.hypot(of_share).hypot(of_walls) / (1.0 - w);
@@ -68,26 +73,8 @@ pub fn corrected(map: &DitMap, inputs: &FitInputs<'_>, light: &WallLight) -> Cor
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::calibration::SakumaHattori;
-    use crate::estimate::map::{CONFIDENCE, CameraNoise, Estimator};
 
     const CURVE: SakumaHattori = SakumaHattori { a_counts: 7.2e5, a_um: 3.4, b_um_k: 1.5 };
-
-    fn inputs() -> FitInputs<'static> {
-        FitInputs {
-            x_counts: Vec::new(),
-            gamma_near: 0.95,
-            gamma_far: 0.95,
-            emissivity_plate: 0.97,
-            far_window_counts: 3.0,
-            curve: CURVE,
-            range: None,
-            camera: CameraNoise::ROUNDING_ONLY,
-            estimator: Estimator::Default,
-            confidence: CONFIDENCE,
-            flat_gain: None,
-        }
-    }
 
     fn light(share: f64, sigma: f64) -> WallLight {
         WallLight {
@@ -99,8 +86,9 @@ mod tests {
         }
     }
 
-    fn seen(kelvin: f64, sigma: f64) -> DitMap {
-        DitMap { temperature_k: vec![kelvin], sigma_temperature_k: vec![sigma], ..DitMap::empty() }
+    fn found(kelvin: f64, sigma: f64, light: &WallLight) -> (f64, f64) {
+        let out = corrected(&[kelvin], &[sigma], &CURVE, light);
+        (out.temperature_object_k[0], out.sigma_temperature_object_k[0])
     }
 
     /// Mixed radiances come apart again, and σ is what small steps of each input say.
@@ -110,7 +98,7 @@ mod tests {
         let mixed = CURVE.inverse((1.0 - w) * CURVE.value(own) + w * CURVE.value(523.0));
         let at = |kelvin: f64, share: f64, wall_k: f64| {
             let light = WallLight { wall_k, ..light(share, 0.0) };
-            corrected(&seen(kelvin, 0.0), &inputs(), &light).temperature_object_k[0]
+            found(kelvin, 0.0, &light).0
         };
         assert!((at(mixed, w, 523.0) - own).abs() < 1e-9);
         let steps = [
@@ -118,7 +106,7 @@ mod tests {
             (at(mixed, w + 1e-5, 523.0) - own) / 1e-5 * 0.03,
             (at(mixed, w, 523.01) - own) / 0.01 * 2.0,
         ];
-        let found = corrected(&seen(mixed, 0.5), &inputs(), &light(w, 0.03)).sigma_temperature_object_k[0];
+        let (_, found) = found(mixed, 0.5, &light(w, 0.03));
         let want = steps.iter().map(|s| s * s).sum::<f64>().sqrt();
         assert!((found / want - 1.0).abs() < 1e-2, "{found} {want}");
     }
@@ -126,16 +114,13 @@ mod tests {
     #[test]
     fn what_is_not_known_stays_unknown() {
         for share in [f64::NAN, -0.1, 1.0, 1.5] {
-            assert!(
-                corrected(&seen(450.0, 1.0), &inputs(), &light(share, 0.0)).temperature_object_k[0].is_nan()
-            );
+            assert!(found(450.0, 1.0, &light(share, 0.0)).0.is_nan());
         }
         // The walls alone would be brighter than what was seen.
-        assert!(corrected(&seen(400.0, 1.0), &inputs(), &light(0.5, 0.0)).temperature_object_k[0].is_nan());
-        let none = corrected(&seen(f64::NAN, f64::NAN), &inputs(), &light(0.1, 0.0));
-        assert!(none.temperature_object_k[0].is_nan() && none.sigma_temperature_object_k[0].is_nan());
-        let whole = corrected(&seen(450.0, 1.0), &inputs(), &light(0.0, 0.0));
-        assert!((whole.temperature_object_k[0] - 450.0).abs() < 1e-9);
-        assert!((whole.sigma_temperature_object_k[0] - 1.0).abs() < 1e-9);
+        assert!(found(400.0, 1.0, &light(0.5, 0.0)).0.is_nan());
+        let none = found(f64::NAN, f64::NAN, &light(0.1, 0.0));
+        assert!(none.0.is_nan() && none.1.is_nan());
+        let whole = found(450.0, 1.0, &light(0.0, 0.0));
+        assert!((whole.0 - 450.0).abs() < 1e-9 && (whole.1 - 1.0).abs() < 1e-9);
     }
 }

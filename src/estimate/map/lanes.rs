@@ -29,8 +29,11 @@ pub(super) trait Lanes:
     fn pick(mask: Self::Mask, yes: Self, no: Self) -> Self;
     /// Square root.
     fn root(self) -> Self;
-    /// Absolute value.
-    fn size(self) -> Self;
+    /// Absolute value; ±0 and NaN stay what they are.
+    #[inline(always)]
+    fn size(self) -> Self {
+        self.larger(self.all(0.0) - self)
+    }
 
     /// The larger; `other` if one is NaN.
     #[inline(always)]
@@ -59,7 +62,7 @@ pub(super) trait Lanes:
 
 macro_rules! lanes {
     ($name:ident, $vector:ident, $mask:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $div:ident,
-     $below:ident, $at_most:ident, $and:ident, $or:ident, $select:ident, $sqrt:ident, $abs:ident, $as:ty) => {
+     $below:ident, $at_most:ident, $and:ident, $or:ident, $select:ident, $sqrt:ident, $as:ty) => {
         /// A vector of this machine.
         #[derive(Clone, Copy)]
         pub(super) struct $name<S: Simd>(pub(super) S, pub(super) S::$vector);
@@ -135,11 +138,6 @@ macro_rules! lanes {
             fn root(self) -> Self {
                 Self(self.0, self.0.$sqrt(self.1))
             }
-
-            #[inline(always)]
-            fn size(self) -> Self {
-                Self(self.0, self.0.$abs(self.1))
-            }
         }
     };
 }
@@ -163,7 +161,6 @@ lanes!(
     or_m64s,
     select_f64s,
     sqrt_f64s,
-    abs_f64s,
     f64
 );
 lanes!(
@@ -181,7 +178,6 @@ lanes!(
     or_m32s,
     select_f32s,
     sqrt_f32s,
-    abs_f32s,
     f32
 );
 

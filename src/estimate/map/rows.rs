@@ -168,10 +168,36 @@ impl<'a, F: Number> Walk<'a, F> {
                 lost_samples(&mut slot.lost, level, range.clone());
             }
         }
+        let (one, lost) = (F::of(1.0), &slot.lost);
+        for (flags, &lost) in slot.flags.iter_mut().zip(lost) {
+            *flags = F::of(f64::from(lost));
+        }
+        slot.alive[..self.columns].fill(one);
+        if self.used.is_empty() {
+            return;
+        }
+        // Hardly a pixel is still: a row without one is told by its first level alone.
+        let (zero, two) = (F::of(0.0), F::of(2.0));
+        let mut still = 0_u32;
+        for (&n, &own) in slot.count[..self.columns].iter().zip(&slot.own[..self.columns]) {
+            still += u32::from(n < two || own <= zero);
+        }
+        if still > 0 {
+            self.find_constant(row);
+        }
+    }
+
+    /// Marks pixels of a row that never change.
+    fn find_constant(&mut self, row: usize) {
+        let slot = &mut self.slots[row % KEPT];
         for i in 0..self.columns {
             let still = constancy(slot, self.used.len(), self.stride, i);
-            slot.flags[i] = F::of(f64::from(slot.lost[i] | still));
-            slot.alive[i] = F::of(if still & flag::DEAD == 0 { 1.0 } else { 0.0 });
+            if still != 0 {
+                slot.flags[i] = F::of(f64::from(slot.lost[i] | still));
+            }
+            if still & flag::DEAD != 0 {
+                slot.alive[i] = F::of(0.0);
+            }
         }
     }
 

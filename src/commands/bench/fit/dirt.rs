@@ -93,10 +93,9 @@ impl Recorded for Frames {
         self.pairs[level].len()
     }
 
-    fn visit(&mut self, level: usize, visit: &mut Visitor<'_>) -> Result<(), AccumulateError> {
-        for (cycle, (blank, spray)) in self.pairs[level].iter().enumerate() {
-            visit(cycle, &[blank], spray);
-        }
+    fn one(&mut self, level: usize, cycle: usize, visit: &mut Visitor<'_>) -> Result<(), AccumulateError> {
+        let (blank, spray) = &self.pairs[level][cycle];
+        visit(cycle, &[blank], spray);
         Ok(())
     }
 }
