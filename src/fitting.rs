@@ -1,10 +1,12 @@
 //! From the sums of a run and its calibration to the map: the one function that live runs, replays and refits share.
 
+use crate::calibrate::Calibrated;
 use crate::calibrate::Calibration;
 use crate::config::Config;
 use crate::estimate::accumulate::Sums;
+use crate::estimate::gate;
 use crate::estimate::map::{CameraNoise, Estimator, FitInputs};
-use crate::reduce::LevelState;
+use crate::reduce::{FrameSource, LevelState, ReduceError, Reduced, Total};
 
 /// Confidence of the low/high channels of archived maps.
 const CONFIDENCE: f64 = 0.95;
@@ -60,4 +62,27 @@ pub fn inputs<'a>(
 /// Whether enough is known for a map: two levels with accepted cycles.
 pub fn can_fit(sums: &Sums) -> bool {
     sums.levels().iter().filter(|level| level.cycles > 0).count() >= 2
+}
+
+/// The records as the final map rests on them: our own estimator takes misfires and spikes out, the others nothing.
+///
+/// # Errors
+///
+/// [`ReduceError`] when a frame cannot be read again.
+pub fn final_state(
+    reduced: &Reduced,
+    config: &Config,
+    calibrated: &Calibrated,
+    estimator: Estimator,
+    frames: &mut dyn FrameSource,
+) -> Result<Reduced, ReduceError> {
+    match &reduced.total {
+        Total::Map(sums) if estimator == Estimator::Default && can_fit(sums) => {
+            let inputs =
+                inputs(&reduced.levels, config, &calibrated.calibration, &calibrated.flat, estimator);
+            let score_min = config.fit.misfire_score.unwrap_or(gate::SCORE_MIN);
+            reduced.refined(&inputs, score_min, frames)
+        }
+        Total::Map(_) | Total::Curve(_) => Ok(reduced.clone()),
+    }
 }

@@ -15,6 +15,7 @@ pub mod archive;
 pub mod reduce;
 pub mod calibrate;
 pub mod estimate;
+pub mod expectation;
 pub mod fitting;
 pub mod truth;
 pub mod result;

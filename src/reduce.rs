@@ -2,9 +2,13 @@
 //!
 //! Knows where frames are only through a [`FrameSource`]; reads no clock and no instrument.
 
-use crate::estimate::accumulate::Sums;
+use crate::estimate::accept::{self, LeftOut, Recorded, Visitor};
+use crate::estimate::accumulate::{AccumulateError, Sums};
+use crate::estimate::convergence::{self, Step};
+use crate::estimate::map::FitInputs;
 use crate::journal::Record;
 use crate::plan::{Plan, Purpose};
+use crate::stack::STEPS_MAX;
 use ditd_drivers::instrument::ShotKind;
 use std::sync::Arc;
 
@@ -34,6 +38,10 @@ pub struct LevelState {
     pub rejected: Vec<(u32, String)>,
     /// Apparent plate temperature at each accepted cycle, in K.
     pub plate_k: Vec<f64>,
+    /// Numbers of the accepted cycles, in their order.
+    pub cycles: Vec<u32>,
+    /// What of the accepted cycles the map does not rest on; empty before the map is final.
+    pub left_out: LeftOut,
     /// The camera's numbers of the accepted spray frames.
     pub spray_ids: Vec<u64>,
     /// The next unused cycle number.
@@ -96,6 +104,8 @@ pub struct Reduced {
     pub frames_seen: u64,
     /// Spray frames so far, accepted or not.
     pub injections_seen: u64,
+    /// Frames of the accepted cycles, level by level.
+    taken: Vec<Vec<Vec<FrameRef>>>,
     pending: Vec<FrameRef>,
     shutter_k: Option<f64>,
     pixels: usize,
@@ -126,6 +136,7 @@ impl Reduced {
                 shutter_k: vec![None; levels],
             }),
         };
+        let taken = vec![Vec::new(); levels];
         let levels = vec![LevelState::default(); levels];
         Ok(Self {
             plan,
@@ -133,6 +144,7 @@ impl Reduced {
             total,
             frames_seen: 0,
             injections_seen: 0,
+            taken,
             pending: Vec::new(),
             shutter_k: None,
             pixels,
@@ -190,6 +202,47 @@ impl Reduced {
             | Record::Stop { .. } => {}
         }
         Ok(())
+    }
+
+    /// The final state: without the shots that had no spray, and without spikes. A pure function of all that was
+    /// recorded; the plate's mean reading is then that of the shots that stayed. A calibration stays as it is.
+    ///
+    /// # Errors
+    ///
+    /// [`ReduceError`] when a frame cannot be read again.
+    pub fn refined(
+        &self,
+        inputs: &FitInputs<'_>,
+        score_min: f64,
+        frames: &mut dyn FrameSource,
+    ) -> Result<Self, ReduceError> {
+        let mut refined = self.clone();
+        let Total::Map(sums) = &mut refined.total else { return Ok(refined) };
+        let mut recorded = Taken { cycles: &self.taken, frames };
+        let left_out = accept::refine(sums, inputs, score_min, &mut recorded)?;
+        for (level, left_out) in refined.levels.iter_mut().zip(left_out) {
+            for misfire in left_out.misfires.iter().rev() {
+                level.plate_k.remove(misfire.cycle);
+            }
+            level.left_out = left_out;
+        }
+        Ok(refined)
+    }
+
+    /// How the map settles with the number of cycles; nothing for a calibration.
+    ///
+    /// # Errors
+    ///
+    /// [`ReduceError`] when a frame cannot be read again.
+    pub fn convergence(
+        &self,
+        inputs: &FitInputs<'_>,
+        emissivity_min: f64,
+        frames: &mut dyn FrameSource,
+    ) -> Result<Vec<Step>, ReduceError> {
+        let Total::Map(sums) = &self.total else { return Ok(Vec::new()) };
+        let mut recorded = Taken { cycles: &self.taken, frames };
+        convergence::convergence(sums, inputs, emissivity_min, STEPS_MAX, &mut recorded)
     }
 
     /// Cycles that the plan asks for at a level and that are not accepted yet.
@@ -254,6 +307,8 @@ impl Reduced {
                 let (spray, blanks) = counts.split_last().expect("blanks + 1 frames were checked above");
                 let blanks: Vec<&[u16]> = blanks.iter().map(|frame| &frame[..]).collect();
                 sums.add_cycle(level, &blanks, spray).map_err(|error| ReduceError(error.to_string()))?;
+                self.taken[level].push(mine);
+                self.levels[level].cycles.push(cycle);
             }
             Total::Curve(curve) => {
                 let (sums, frames_so_far) = match self.shutter_k {
@@ -271,6 +326,38 @@ impl Reduced {
                 *frames_so_far += program.blanks + 1;
             }
         }
+        Ok(())
+    }
+}
+
+/// Accepted cycles and where their frames are.
+struct Taken<'a> {
+    cycles: &'a [Vec<Vec<FrameRef>>],
+    frames: &'a mut dyn FrameSource,
+}
+
+impl From<AccumulateError> for ReduceError {
+    fn from(error: AccumulateError) -> Self {
+        Self(error.to_string())
+    }
+}
+
+impl Recorded for Taken<'_> {
+    type Error = ReduceError;
+
+    fn cycles(&self, level: usize) -> usize {
+        self.cycles[level].len()
+    }
+
+    fn one(&mut self, level: usize, cycle: usize, visit: &mut Visitor<'_>) -> Result<(), ReduceError> {
+        let mut pictures = Vec::new();
+        for frame in &self.cycles[level][cycle] {
+            let picture = self.frames.load(&frame.file, frame.index, frame.crc32);
+            pictures.push(picture.map_err(ReduceError)?);
+        }
+        let (spray, blanks) = pictures.split_last().expect("an accepted cycle has blanks and a spray");
+        let blanks: Vec<&[u16]> = blanks.iter().map(|frame| &frame[..]).collect();
+        visit(cycle, &blanks, spray);
         Ok(())
     }
 }

@@ -6,12 +6,13 @@
 use crate::calibrate::{CHI2_MAX, Calibrated};
 use crate::config::Config;
 use crate::estimate::accumulate::{self, Sums};
-use crate::estimate::map::{self, DitMap, Estimator, flag};
+use crate::estimate::map::{self, DitMap, Estimator, FitInputs, flag};
+use crate::estimate::predict::{Forecast, Visit};
 use crate::files::npy::{Array, Values};
 use crate::files::npz::{self, Packing};
 use crate::files::{self, FileError, ResultMeta};
 use crate::fitting;
-use crate::reduce::{Reduced, Total};
+use crate::reduce::{LevelState, Reduced, Total};
 use crate::report::run::Material;
 use crate::report::{self, Picture};
 use crate::run_folder::{FolderError, RunFolder};
@@ -110,7 +111,7 @@ pub fn write(
 }
 
 /// The map as far as it is known, in words; `None` before two levels have cycles. The same fit over the same records
-/// as the final one.
+/// as the final one, but provisional: nothing is left out before all shots are known.
 pub fn provisional(reduced: &Reduced, config: &Config, calibrated: &Calibrated) -> Option<String> {
     let Total::Map(sums) = &reduced.total else { return None };
     if !fitting::can_fit(sums) {
@@ -122,10 +123,30 @@ pub fn provisional(reduced: &Reduced, config: &Config, calibrated: &Calibrated) 
     let (pixels, temperature, sigma) = over_spray(&map::solve(sums, &inputs), config.emissivity_min());
     (pixels > 0).then(|| {
         format!(
-            "so far {pixels} pixels with emissivity above {}: median {temperature:.2} K, median σ {sigma:.2} K",
-            config.emissivity_min()
+            "so far, misfires and spikes included: {pixels} pixels with emissivity above {}: median {temperature:.2} K, median σ {sigma:.2} K{}",
+            config.emissivity_min(),
+            next(reduced, sums, &inputs, config.emissivity_min()).unwrap_or_default()
         )
     })
+}
+
+/// Pixels on which a forecast rests: medians to 2 %.
+const FORECAST_PIXELS: usize = 2000;
+
+/// The level where one more cycle would lower the median σ most.
+fn next(reduced: &Reduced, sums: &Sums, inputs: &FitInputs<'_>, emissivity_min: f64) -> Option<String> {
+    let forecast = Forecast::of(sums, inputs, emissivity_min, FORECAST_PIXELS);
+    let best = reduced
+        .plan
+        .levels
+        .iter()
+        .map(|level| {
+            let visit = Visit { plate_k: level.set_point_k, cycles: 1.0 };
+            (level.set_point_k, forecast.quantile_k(&[visit], 0.5))
+        })
+        .filter(|(_, sigma)| sigma.is_finite())
+        .min_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some(format!("; one more cycle at {:.1} K would make it {:.2} K", best.0, best.1))
 }
 
 /// The map held against the truth.
@@ -233,6 +254,8 @@ fn summary(
                 "cycles": state.accepted,
                 "rejected": state.rejected.iter()
                     .map(|(cycle, reason)| json!({ "cycle": cycle, "reason": reason })).collect::<Vec<_>>(),
+                "misfires": misfires(state),
+                "spikes": spikes(state),
             })
         })
         .collect();
@@ -275,6 +298,18 @@ fn summary(
         },
         "true_error": judged.map(|judged| judged.to_json(config.emissivity_min())),
     })
+}
+
+/// Accepted cycles without a spray, left out of the map.
+fn misfires(state: &LevelState) -> Vec<Value> {
+    let each = state.left_out.misfires.iter();
+    each.map(|one| json!({ "cycle": state.cycles.get(one.cycle), "score": number(one.score) })).collect()
+}
+
+/// Cycles with samples that were left out as spikes, and how many pixels that were.
+fn spikes(state: &LevelState) -> Vec<Value> {
+    let each = state.left_out.spikes.iter().zip(&state.cycles).filter(|(pixels, _)| **pixels > 0);
+    each.map(|(pixels, cycle)| json!({ "cycle": cycle, "pixels": pixels })).collect()
 }
 
 /// Pixels with a temperature and an emissivity above the limit; their median temperature and median sigma, in K.

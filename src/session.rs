@@ -8,6 +8,7 @@ use crate::campaign::{
 use crate::clock::Clock;
 use crate::config::{Config, ConfigError};
 use crate::console::Console;
+use crate::estimate::convergence::Step;
 use crate::estimate::map::Estimator;
 use crate::fitting;
 use crate::journal::{self, Entry, JournalError, Record};
@@ -208,6 +209,32 @@ pub fn resume(root: &Path, clock: Clock, stop: StopFlag) -> Result<String, Sessi
 ///
 /// [`SessionError`], as [`run`].
 pub fn calibrate(setting: &Setting<'_>, out: &Path) -> Result<Calibrated, SessionError> {
+    acquire(setting, out, None)
+}
+
+/// Acquires today's curve and maps it on the standard one at `standard` (a folder or its `calibration.json`).
+///
+/// # Errors
+///
+/// [`SessionError`], as [`run`]; also when the standard curve cannot be read or belongs to another camera.
+pub fn calibrate_today(
+    setting: &Setting<'_>,
+    out: &Path,
+    standard: &Path,
+) -> Result<Calibrated, SessionError> {
+    let path = calibration_folder(standard).join("calibration.json");
+    let text = std::fs::read_to_string(&path)
+        .map_err(|error| SessionError::Other(format!("calibration {}: {error}", path.display())))?;
+    let standard: Calibration = serde_json::from_str(&text)
+        .map_err(|error| SessionError::Other(format!("calibration {}: {error}", path.display())))?;
+    acquire(setting, out, Some(&standard))
+}
+
+fn acquire(
+    setting: &Setting<'_>,
+    out: &Path,
+    standard: Option<&Calibration>,
+) -> Result<Calibrated, SessionError> {
     let plan = Plan::of_standard_curve(setting.config).ok_or_else(|| {
         SessionError::Other("calibrate: the campaign file has no [calibration] table".to_owned())
     })?;
@@ -219,7 +246,10 @@ pub fn calibrate(setting: &Setting<'_>, out: &Path) -> Result<Calibrated, Sessio
     let mut recorder = recorder(setting, &folder, reduced)?;
     let start = header(&plan, setting.utc(), sha256(setting.source.text.as_bytes()));
     campaign(setting, &plan, &prepared, &mut recorder, Some(start), None)?;
-    let calibrated = calibration_of(recorder.reduced(), setting.config, &setting.utc())?;
+    let mut calibrated = calibration_of(recorder.reduced(), setting.config, &setting.utc())?;
+    if let Some(standard) = standard {
+        calibrated.calibration = calibrate::today(&calibrated.calibration, standard)?;
+    }
     store_calibration(&folder, &folder.root().join("calibration.json"), &calibrated, setting.config)?;
     Ok(calibrated)
 }
@@ -283,6 +313,7 @@ fn refit(
     }
     let estimator =
         estimator.or_else(|| fitting::estimator(&config.fit.estimator)).unwrap_or(Estimator::Default);
+    let reduced = fitting::final_state(&reduced, config, calibrated, estimator, &mut archive)?;
     let truth = result::read_world(&folder.world())?;
     Ok(result::write(
         out,
@@ -293,6 +324,33 @@ fn refit(
         truth.as_ref(),
         &result::read_telemetry(folder.root()),
     )?)
+}
+
+/// How the map of a recorded run settles with the number of cycles.
+///
+/// # Errors
+///
+/// [`SessionError`] when the folder or the calibration is damaged.
+pub fn convergence(
+    root: &Path,
+    calibration: Option<&Path>,
+    estimator: Estimator,
+) -> Result<Vec<Step>, SessionError> {
+    let folder = RunFolder::at(root);
+    let (source, config) = config_of(&folder)?;
+    let given = calibration.map_or_else(|| folder.calibration(), calibration_folder);
+    let calibrated = load_calibration(&given, &config)?;
+    let entries = journal::read(&folder.journal())?;
+    check_config(&entries, &source)?;
+    let c = &config.camera;
+    let mut reduced = Reduced::new(Plan::of_map(&config), c.rows, c.columns, c.saturation_count)?;
+    let mut archive = Archive::new(folder.root(), c.rows * c.columns);
+    for entry in &entries {
+        reduced.apply(&entry.record, &mut archive)?;
+    }
+    let inputs =
+        fitting::inputs(&reduced.levels, &config, &calibrated.calibration, &calibrated.flat, estimator);
+    Ok(reduced.convergence(&inputs, config.emissivity_min(), &mut archive)?)
 }
 
 /// Acquires or copies the calibration into the run folder.
@@ -517,6 +575,9 @@ fn finish(
     let config = setting.config;
     let estimator = fitting::estimator(&config.fit.estimator).unwrap_or(Estimator::Default);
     let console = Console::new("result");
+    console.fraction("shots without spray, spikes", 0.1);
+    let mut archive = Archive::new(folder.root(), config.camera.rows * config.camera.columns);
+    let reduced = &fitting::final_state(reduced, config, calibrated, estimator, &mut archive)?;
     console.fraction("what the simulated world knows of itself", 0.3);
     if let Some(truth) = prepared.truth(reduced, config, folder.root())? {
         result::write_world(folder, &truth)?;

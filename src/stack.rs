@@ -1,15 +1,20 @@
 //! Recorded frames from elsewhere: a folder with `case.json`, `spray.npy` and `nospray.npy`.
 //!
-//! Frames are read one at a time and summed exactly; a second pass takes misfires out again for our own estimator.
+//! Frames are read one at a time and summed exactly; for our own estimator misfires and spikes are then taken out again.
 //! Knows nothing of run folders and journals.
 
+use crate::estimate::accept::{self, LeftOut, Recorded, Visitor};
 use crate::estimate::accumulate::{AccumulateError, Sums};
 use crate::estimate::calibration::{C2_UM_K, CalibrationFit, Range, SakumaHattori};
-use crate::estimate::gate::{self, Prediction};
+use crate::estimate::convergence::{self, Step};
+use crate::estimate::gate;
 use crate::estimate::map::{self, CameraNoise, DitMap, Estimator, FitInputs};
 use crate::files::npy::{FrameReader, NpyError};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+
+/// Most cycles of a level whose influence is told: a solve each.
+pub const STEPS_MAX: usize = 100;
 
 /// A curve as `case.json` writes it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -63,6 +68,9 @@ pub struct Case {
     /// The camera's noise; absent = rounding only.
     #[serde(default)]
     pub camera: Option<CameraNoise>,
+    /// Score below which a shot is taken for a misfire, 0 … 0.9 of an ordinary one; absent = 0.2.
+    #[serde(default)]
+    pub misfire_score: Option<f64>,
 }
 
 /// Why a stack could not be read.
@@ -113,6 +121,15 @@ pub struct Rejected {
     pub score: f64,
 }
 
+/// Samples of a cycle that were left out pixel by pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Spikes {
+    /// Cycle within its level, from 0.
+    pub cycle: usize,
+    /// Pixels in which it was left out.
+    pub pixels: u32,
+}
+
 /// What became of one level.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LevelSummary {
@@ -126,6 +143,10 @@ pub struct LevelSummary {
     pub accepted: usize,
     /// Cycles left out as a whole.
     pub rejected: Vec<Rejected>,
+    /// Spikes taken out, per cycle that has any.
+    pub spikes: Vec<Spikes>,
+    /// Samples taken out as spikes, over all pixels.
+    pub spike_samples: u64,
     /// Cycles in which at least one pixel was saturated.
     pub cycles_with_saturation: usize,
     /// Samples left out because of saturation, over all pixels and accepted cycles.
@@ -214,7 +235,7 @@ impl Stack {
         FitInputs { x_counts, curve: calibration.curve, range: calibration.range, ..self.inputs(estimator) }
     }
 
-    /// Sums all pairs, fits, and for our own estimator takes misfires out and fits again.
+    /// Sums all pairs, for our own estimator takes misfires and spikes out again, and fits.
     ///
     /// # Errors
     ///
@@ -230,27 +251,33 @@ impl Stack {
             }
             sums.add_cycle(level, &[blank], spray)
         })?;
-        let mut map = map::solve(&sums, inputs);
         if inputs.estimator == Estimator::Default {
-            let rejected = self.misfires(&map, inputs)?;
-            if rejected.iter().any(|level| !level.is_empty()) {
-                self.for_each_pair(|level, cycle, spray, blank| {
-                    if rejected[level].iter().any(|r| r.cycle == cycle) {
-                        sums.remove_cycle(level, &[blank], spray)?;
-                    }
-                    Ok(())
-                })?;
-                map = map::solve(&sums, inputs);
-            }
-            for (level, rejected) in levels.iter_mut().zip(rejected) {
-                level.rejected = rejected;
+            let left_out = accept::refine(&mut sums, inputs, self.case.misfire_score(), self)?;
+            for (level, left_out) in levels.iter_mut().zip(&left_out) {
+                level.leave_out(left_out);
             }
         }
+        let map = map::solve(&sums, inputs);
         for (level, sums) in levels.iter_mut().zip(sums.levels()) {
             level.accepted = level.cycles - level.rejected.len();
             level.saturated_samples = (0..sums.count.len()).map(|i| u64::from(sums.saturated(i))).sum();
         }
         Ok(Fitted { map, levels })
+    }
+
+    /// How the map settles with the number of pairs, at most 100 of a level; see [`convergence`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::fit`].
+    pub fn convergence(
+        &mut self,
+        inputs: &FitInputs<'_>,
+        emissivity_min: f64,
+    ) -> Result<Vec<Step>, StackError> {
+        let levels = self.case.pairs_per_setpoint.len();
+        let like = Sums::new(levels, self.spray.rows, self.spray.columns, 1, self.case.saturation_count)?;
+        convergence::convergence(&like, inputs, emissivity_min, STEPS_MAX, self)
     }
 
     fn empty_summaries(&self, inputs: &FitInputs<'_>) -> Vec<LevelSummary> {
@@ -263,37 +290,12 @@ impl Stack {
                 cycles,
                 accepted: cycles,
                 rejected: Vec::new(),
+                spikes: Vec::new(),
+                spike_samples: 0,
                 cycles_with_saturation: 0,
                 saturated_samples: 0,
             })
             .collect()
-    }
-
-    fn misfires(&mut self, map: &DitMap, inputs: &FitInputs<'_>) -> Result<Vec<Vec<Rejected>>, StackError> {
-        let predictions: Vec<Option<Prediction>> =
-            inputs.x_counts.iter().map(|x| Prediction::at(map, (*x)?)).collect();
-        let mut scores: Vec<Vec<f64>> = vec![Vec::new(); predictions.len()];
-        let mut blanks = Vec::new();
-        self.for_each_pair(|level, _, spray, blank| {
-            if let Some(prediction) = &predictions[level] {
-                blanks.clear();
-                blanks.extend(blank.iter().map(|&count| u32::from(count)));
-                scores[level].push(prediction.score(spray, &blanks, 1));
-            }
-            Ok(())
-        })?;
-        let reject = |scores: &Vec<f64>| {
-            let missed = gate::misfires(scores).into_iter().zip(scores).enumerate();
-            missed
-                .filter(|(_, (missed, _))| *missed)
-                .map(|(cycle, (_, &score))| Rejected {
-                    cycle,
-                    reason: "misfire: no spray in the frame",
-                    score,
-                })
-                .collect()
-        };
-        Ok(scores.iter().map(reject).collect())
     }
 
     /// Calls `visit(level, cycle, spray, blank)` for every pair in order.
@@ -301,8 +303,8 @@ impl Stack {
         &mut self,
         mut visit: impl FnMut(usize, usize, &[u16], &[u16]) -> Result<(), AccumulateError>,
     ) -> Result<(), StackError> {
-        self.spray.rewind()?;
-        self.blank.rewind()?;
+        self.spray.go_to(0)?;
+        self.blank.go_to(0)?;
         let pixels = self.spray.rows * self.spray.columns;
         let (mut spray, mut blank) = (vec![0; pixels], vec![0; pixels]);
         for (level, &cycles) in self.case.pairs_per_setpoint.iter().enumerate() {
@@ -313,6 +315,50 @@ impl Stack {
             }
         }
         Ok(())
+    }
+}
+
+impl Recorded for Stack {
+    type Error = StackError;
+
+    fn cycles(&self, level: usize) -> usize {
+        self.case.pairs_per_setpoint[level]
+    }
+
+    fn one(&mut self, level: usize, cycle: usize, visit: &mut Visitor<'_>) -> Result<(), StackError> {
+        let at = self.case.pairs_per_setpoint[..level].iter().sum::<usize>() + cycle;
+        self.spray.go_to(at)?;
+        self.blank.go_to(at)?;
+        let pixels = self.spray.rows * self.spray.columns;
+        let (mut spray, mut blank) = (vec![0; pixels], vec![0; pixels]);
+        self.spray.next_into(&mut spray)?;
+        self.blank.next_into(&mut blank)?;
+        visit(cycle, &[&blank], &spray);
+        Ok(())
+    }
+}
+
+impl Case {
+    /// Score below which a shot is a misfire.
+    pub fn misfire_score(&self) -> f64 {
+        self.misfire_score.unwrap_or(gate::SCORE_MIN)
+    }
+}
+
+impl LevelSummary {
+    fn leave_out(&mut self, left_out: &LeftOut) {
+        self.rejected = left_out
+            .misfires
+            .iter()
+            .map(|misfire| Rejected {
+                cycle: misfire.cycle,
+                reason: "misfire: no spray in the frame",
+                score: misfire.score,
+            })
+            .collect();
+        let some = left_out.spikes.iter().enumerate().filter(|(_, pixels)| **pixels > 0);
+        self.spikes = some.map(|(cycle, &pixels)| Spikes { cycle, pixels }).collect();
+        self.spike_samples = left_out.spikes.iter().map(|&pixels| u64::from(pixels)).sum();
     }
 }
 
@@ -327,6 +373,9 @@ fn check(case: &Case) -> Result<(), String> {
     positive("calibration.a_um", case.calibration.a_um)?;
     if let Some(c2) = case.calibration.c2_um_k {
         positive("calibration.c2_um_K", c2)?;
+    }
+    if case.misfire_score.is_some_and(|score| !(0.0..=0.9).contains(&score)) {
+        return Err("misfire_score must be from 0 to 0.9".into());
     }
     if case.x_counts.len() != levels {
         return Err(format!("x_counts has {} entries for {levels} levels", case.x_counts.len()));

@@ -310,3 +310,18 @@ fn misfires_are_taken_out() {
     off.sort_by(f64::total_cmp);
     assert!(off[pixels / 2] < 0.01, "{}", off[pixels / 2]);
 }
+
+/// The gates of our own estimator take nothing out of clean stacks, whatever else is wrong with their pixels.
+#[test]
+fn clean_stacks_lose_no_sample() {
+    for name in STACKS {
+        let mut stack = Stack::open(&folder(name)).unwrap();
+        let inputs = stack.inputs(Estimator::Default);
+        let fitted = stack.fit(&inputs).unwrap();
+        let count = expected(name, "expected_count.npy").to_f64();
+        let same =
+            fitted.map.count.iter().zip(&count).all(|(&got, want)| f64::from(got).total_cmp(want).is_eq());
+        assert!(same && fitted.map.rejected.is_empty(), "{name}");
+        assert!(fitted.levels.iter().all(|level| level.rejected.is_empty() && level.spike_samples == 0));
+    }
+}

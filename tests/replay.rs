@@ -42,6 +42,23 @@ fn a_replay_of_a_run_with_lost_frames_equals_it_too() {
     assert_replays(&ran.path);
 }
 
+/// A shot that did not fire (the third of the hottest level) counts as a cycle, but not in the map: it is found, named, its
+/// plate reading left out, and found again by the replay.
+#[test]
+fn a_misfire_is_named_and_left_out_of_the_map() {
+    let ran = Preset::spray().with("rig.fault", "[{ kind = \"misfire\", injection = 20 }]").run().done();
+    let summary = ran.summary();
+    assert_eq!(summary["cycles"]["received"], 24);
+    for (level, expected) in [(0, 0), (1, 0), (2, 0), (3, 1)] {
+        let misfires = summary["levels"][level]["misfires"].as_array().unwrap();
+        assert_eq!(misfires.len(), expected, "level {level}: {misfires:?}");
+    }
+    let found = &summary["levels"][3]["misfires"][0];
+    assert_eq!(found["cycle"], 2);
+    assert!(found["score"].as_f64().unwrap() < 0.1, "{found}");
+    assert_replays(&ran.path);
+}
+
 #[test]
 fn a_replay_changes_nothing_in_the_run_folder() {
     let before = sums(&small().path);

@@ -2,6 +2,7 @@
 //!
 //! Every time is the minimum of several runs: what else the machine does can only make it longer.
 
+mod fit;
 mod mie;
 mod render;
 
@@ -28,6 +29,8 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Task {
+    /// The estimator: errors and coverage on generated shots, times of sums and solves; some minutes
+    Fit(fit::Args),
     /// Mie theory: tables of spheres, single spheres, angles, size distributions on one thread; clouds on all
     Mie(Output),
     /// The ray tracer: time against error of every mode, and with the size of scene and spray; a minute or two a subject
@@ -71,6 +74,7 @@ pub fn run(args: &Args, clock: &Clock) -> CommandResult {
     }
     let watch = Watch { clock, seconds: SECONDS };
     let (output, figures) = match &args.task {
+        Task::Fit(args) => (&args.output, fit::figures(&watch, args)?),
         Task::Mie(output) => (output, mie::figures(&watch)?),
         Task::Render(args) => (&args.output, render::figures(&watch, args)?),
     };

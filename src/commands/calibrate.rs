@@ -17,6 +17,9 @@ pub struct Args {
     /// Folder to make
     #[arg(long, value_name = "DIR", default_value = "calibration")]
     out: PathBuf,
+    /// Standard curve (folder or calibration.json) that today's is mapped on
+    #[arg(long, value_name = "DIR", required_if_eq("kind", "today"))]
+    standard: Option<PathBuf>,
     /// Print the calibration as JSON
     #[arg(long)]
     json: bool,
@@ -27,6 +30,8 @@ pub struct Args {
 enum Kind {
     /// The standard curve and the flat
     Standard,
+    /// Today's short curve, mapped on the standard curve of `--standard`, and the flat
+    Today,
 }
 
 /// Acquires a calibration.
@@ -35,10 +40,12 @@ enum Kind {
 ///
 /// The statuses of the contract.
 pub fn run(args: Args, clock: &Clock) -> CommandResult {
-    let Kind::Standard = args.kind;
     let (source, config) = load(&args.config)?;
     let setting = setting(&source, &config, clock)?;
-    let calibrated = session::calibrate(&setting, &args.out)?;
+    let calibrated = match (args.kind, &args.standard) {
+        (Kind::Today, Some(standard)) => session::calibrate_today(&setting, &args.out, standard)?,
+        (Kind::Standard | Kind::Today, _) => session::calibrate(&setting, &args.out)?,
+    };
     if args.json {
         let text = serde_json::to_string_pretty(&calibrated.calibration)
             .map_err(|error| CommandError::failure(error.to_string()))?;
@@ -56,6 +63,19 @@ pub fn run(args: Args, clock: &Clock) -> CommandResult {
         "I(T) = {:.6e} / (exp(14387.77 / ({:.6} T + {:.4})) - 1), offset {:+.4} counts, chi2 {:.2} for {} degrees of freedom",
         c.a_counts, c.a_um, c.b_um_k, fit.offset_counts, fit.chi2, fit.dof
     );
+    if let Some(mapping) = &calibrated.calibration.mapping {
+        let _ = writeln!(
+            out,
+            "mapped on the standard curve of {}: gain {:.5} ± {:.5}, drift {:+.2} %",
+            mapping.standard_utc,
+            mapping.line.gain,
+            mapping.line.covariance[0][0].sqrt(),
+            100.0 * mapping.drift
+        );
+        for alarm in mapping.alarms() {
+            let _ = writeln!(out, "WARNING {alarm}");
+        }
+    }
     let _ = writeln!(out, "folder {}", args.out.display());
     print(&out)
 }

@@ -3,6 +3,7 @@
 use super::{CommandError, CommandResult, load, print};
 use crate::config::Config;
 use crate::console::duration_words;
+use crate::expectation;
 use crate::plan::{Cost, Plan};
 use crate::rigs;
 use std::fmt::Write as _;
@@ -29,16 +30,25 @@ pub fn run(args: Args) -> CommandResult {
     let plan = Plan::of_map(&config);
     let cost = plan.cost(&config);
     let curve = (config.optics.calibration == "measure").then(|| Plan::of_standard_curve(&config)).flatten();
+    let expected = expectation::of(&config, &plan, &source.folder);
     if args.json {
         let document = serde_json::json!({
             "name": config.campaign.name,
             "plan": plan,
             "cost": cost,
+            "expected": expected,
             "calibration": curve.as_ref().map(|plan| serde_json::json!({ "plan": plan, "cost": plan.cost(&config) })),
         });
         return print(&format!("{document:#}\n"));
     }
-    print(&words(&config, &plan, &cost, curve.as_ref()))
+    let expected = expected.map_or_else(
+        || {
+            "\nExpected σ of T: not known before the calibration (optics.calibration is \"measure\").\n"
+                .to_owned()
+        },
+        |expected| expected.words(),
+    );
+    print(&(words(&config, &plan, &cost, curve.as_ref()) + &expected))
 }
 
 fn words(config: &Config, plan: &Plan, cost: &Cost, curve: Option<&Plan>) -> String {

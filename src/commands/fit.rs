@@ -1,7 +1,10 @@
 //! `ditd fit`: refits a run folder, a stack of recorded frames, or lines of known variances.
 
+mod walls;
+
 use super::{CommandError, CommandResult, print};
 use crate::estimate::calibration::SakumaHattori;
+use crate::estimate::convergence::Step;
 use crate::estimate::line::Fieller;
 use crate::estimate::map::{self, DitMap, Estimator};
 use crate::files::{self, ResultMeta};
@@ -26,6 +29,11 @@ pub struct Args {
     /// Another calibration curve than the recorded one
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
+    /// Also tell how the map settles with the number of cycles (OUT/convergence.csv)
+    #[arg(long)]
+    pub convergence: bool,
+    #[command(flatten)]
+    walls: walls::WallArgs,
     /// Print the summary as JSON
     #[arg(long)]
     pub json: bool,
@@ -97,13 +105,18 @@ fn fit_run(args: &Args) -> CommandResult {
         Some(calibration) => session::refit_with(&args.path, calibration, out, estimator)?,
         None => session::replay(&args.path, out, estimator)?,
     };
+    let more = walls::correct(&args.walls, out)?;
+    if args.convergence {
+        let steps = session::convergence(&args.path, args.calibration.as_deref(), args.estimator.into())?;
+        write_convergence(out, &steps)?;
+    }
     if args.json {
         let path = out.join("summary.json");
         let text = std::fs::read_to_string(&path)
             .map_err(|error| CommandError::failure(format!("{}: {error}", path.display())))?;
         return print(&text);
     }
-    print(&words)
+    print(&(words + &more))
 }
 
 fn fit_stack(args: &Args) -> CommandResult {
@@ -123,7 +136,33 @@ fn fit_stack(args: &Args) -> CommandResult {
     files::write_result(out, &fitted.map, &meta).map_err(cannot)?;
     let text = serde_json::to_string_pretty(&summary).expect("numbers and texts") + "\n";
     files::write_atomic(&out.join("summary.json"), text.as_bytes()).map_err(cannot)?;
-    if args.json { print(&text) } else { print(&readable(&fitted, out)) }
+    let more = walls::correct(&args.walls, out)?;
+    if args.convergence {
+        write_convergence(out, &stack.convergence(&inputs, EMISSIVITY_MIN)?)?;
+    }
+    if args.json { print(&text) } else { print(&(readable(&fitted, out) + &more)) }
+}
+
+/// Emissivity above which pixels of a stack count where not all do.
+const EMISSIVITY_MIN: f64 = 0.2;
+
+/// OUT/convergence.csv: a line per number of cycles.
+fn write_convergence(out: &Path, steps: &[Step]) -> Result<(), CommandError> {
+    let mut text = String::from("cycles,pixels,rms_to_last_k,rms_of_cycle_k,median_sigma_k\n");
+    let cell = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
+    for step in steps {
+        text += &format!(
+            "{},{},{},{},{}\n",
+            step.cycles,
+            step.pixels,
+            cell(step.rms_to_last_k),
+            cell(step.rms_of_cycle_k),
+            cell(step.median_sigma_k)
+        );
+    }
+    let path = out.join("convergence.csv");
+    files::write_atomic(&path, text.as_bytes())
+        .map_err(|error| CommandError::failure(format!("fit: {error}")))
 }
 
 fn calibration_json(inputs: &map::FitInputs<'_>) -> Value {
@@ -153,6 +192,7 @@ fn summary(stack: &Stack, inputs: &map::FitInputs<'_>, fitted: &Fitted) -> Value
             "received": levels.iter().map(|l| l.cycles).sum::<usize>(),
             "accepted": levels.iter().map(|l| l.accepted).sum::<usize>(),
             "rejected": levels.iter().map(|l| l.rejected.len()).sum::<usize>(),
+            "spike_samples": levels.iter().map(|l| l.spike_samples).sum::<u64>(),
         },
         "flags": flags,
         "temperature_k": quantiles(&map.temperature_k),
@@ -179,6 +219,9 @@ fn readable(fitted: &Fitted, out: &Path) -> String {
         for rejected in &level.rejected {
             text +=
                 &format!("  [cycle {}: {}, score {:.2}]", rejected.cycle, rejected.reason, rejected.score);
+        }
+        if level.spike_samples > 0 {
+            text += &format!("  [{} spikes in {} cycles]", level.spike_samples, level.spikes.len());
         }
         text += "\n";
     }

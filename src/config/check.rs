@@ -223,6 +223,11 @@ fn optics(config: &Config, found: &mut Vec<Problem>) {
         "fit.estimator",
         || format!("unknown estimator {:?}; there are: default, paper, ols", config.fit.estimator),
     );
+    if let Some(score) = config.fit.misfire_score {
+        require(found, (0.0..=0.9).contains(&score), "fit.misfire_score", || {
+            format!("must lie in 0 … 0.9, found {score}")
+        });
+    }
     if let Some(calibration) = &config.calibration {
         require(found, calibration.levels_k.len() >= 4, "calibration.levels_k", || {
             "the curve has three parameters and an offset: at least four levels".to_owned()

@@ -249,6 +249,10 @@ pub struct Calibration {
 pub struct Fit {
     /// `default`, `paper` or `ols`.
     pub estimator: String,
+    /// A shot that shows less than this part of an ordinary spray is a misfire and left out of the map, 0 … 0.9;
+    /// absent: 0.2. Low, so that weak real shots stay in the ensemble.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub misfire_score: Option<f64>,
 }
 
 /// `[target]`

@@ -82,6 +82,8 @@ pub struct LevelSums {
     pub sum_blanks: Vec<u64>,
     /// Cycles that count for the pixel: all b + 1 samples below the saturation count.
     pub count: Vec<u32>,
+    /// Cycles that were taken out for the pixel alone; empty if there are none.
+    pub outliers: Vec<u16>,
 }
 
 impl LevelSums {
@@ -92,12 +94,18 @@ impl LevelSums {
             sum_squares: vec![0; pixels],
             sum_blanks: vec![0; pixels],
             count: vec![0; pixels],
+            outliers: Vec::new(),
         }
+    }
+
+    /// Cycles that were taken out for the pixel alone.
+    pub fn outliers(&self, pixel: usize) -> u32 {
+        self.outliers.get(pixel).map_or(0, |&n| u32::from(n))
     }
 
     /// Cycles in which a sample of the pixel was saturated.
     pub fn saturated(&self, pixel: usize) -> u32 {
-        self.cycles - self.count[pixel]
+        self.cycles - self.count[pixel] - self.outliers(pixel)
     }
 }
 
@@ -189,7 +197,26 @@ impl Sums {
             return Err(AccumulateError::Full { level, cycles });
         }
         self.levels[level].cycles = cycles + 1;
-        self.apply(level, blanks, spray, Sign::Add);
+        self.apply(level, &[Cycle { blanks, spray }], Sign::Add);
+        Ok(())
+    }
+
+    /// Adds several cycles of a level: the same sums as one by one, in less time.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::add_cycle`], for the first cycle that does not fit; the sums are then unchanged.
+    pub fn add_cycles(&mut self, level: usize, cycles: &[Cycle<'_>]) -> Result<(), AccumulateError> {
+        for cycle in cycles {
+            self.check(level, cycle.blanks, cycle.spray)?;
+        }
+        let Some(held) = self.levels.get(level).map(|level| level.cycles) else { return Ok(()) };
+        let more = u32::try_from(cycles.len()).ok().and_then(|more| held.checked_add(more));
+        match more {
+            Some(sum) if sum <= self.cycles_max() => self.levels[level].cycles = sum,
+            _ => return Err(AccumulateError::Full { level, cycles: held }),
+        }
+        self.apply(level, cycles, Sign::Add);
         Ok(())
     }
 
@@ -207,8 +234,44 @@ impl Sums {
         self.check(level, blanks, spray)?;
         let cycles = self.levels[level].cycles;
         self.levels[level].cycles = cycles.checked_sub(1).ok_or(AccumulateError::Empty { level })?;
-        self.apply(level, blanks, spray, Sign::Remove);
+        self.apply(level, &[Cycle { blanks, spray }], Sign::Remove);
         Ok(())
+    }
+
+    /// Takes a cycle that was added before out of one pixel alone, exactly; nothing happens if it did not count there.
+    ///
+    /// Panics when level, pixel or frames are not those of the sums, which is the caller's mistake.
+    pub fn remove_sample(&mut self, level: usize, pixel: usize, blanks: &[&[u16]], spray: &[u16]) {
+        let saturation = self.saturation_count;
+        let pixels = self.rows * self.columns;
+        assert!(blanks.len() == usize::from(self.blanks_per_cycle), "as many blanks as were added");
+        let level = &mut self.levels[level];
+        if spray[pixel] >= saturation || blanks.iter().any(|blank| blank[pixel] >= saturation) {
+            return;
+        }
+        let lit: u64 = blanks.iter().map(|blank| u64::from(blank[pixel])).sum();
+        let signed = i64::try_from(lit).expect("256 samples of 16 bits");
+        let y = i64::from(self.blanks_per_cycle) * i64::from(spray[pixel]) - signed;
+        level.sum[pixel] -= y;
+        level.sum_squares[pixel] -= y.unsigned_abs() * y.unsigned_abs();
+        level.sum_blanks[pixel] -= lit;
+        level.count[pixel] -= 1;
+        if level.outliers.is_empty() {
+            level.outliers = vec![0; pixels];
+        }
+        level.outliers[pixel] = level.outliers[pixel].saturating_add(1);
+    }
+
+    /// Forgets all cycles and keeps the memory.
+    pub fn clear(&mut self) {
+        for LevelSums { cycles, sum, sum_squares, sum_blanks, count, outliers } in &mut self.levels {
+            *cycles = 0;
+            outliers.clear();
+            sum.fill(0);
+            sum_squares.fill(0);
+            sum_blanks.fill(0);
+            count.fill(0);
+        }
     }
 
     /// Adds the sums of `other`, acquired with the same settings, level by level.
@@ -236,6 +299,11 @@ impl Sums {
             to.sum_squares.iter_mut().zip(&from.sum_squares).for_each(|(a, b)| *a += b);
             to.sum_blanks.iter_mut().zip(&from.sum_blanks).for_each(|(a, b)| *a += b);
             to.count.iter_mut().zip(&from.count).for_each(|(a, b)| *a += b);
+            if to.outliers.is_empty() {
+                to.outliers.clone_from(&from.outliers);
+            } else {
+                to.outliers.iter_mut().zip(&from.outliers).for_each(|(a, b)| *a = a.saturating_add(*b));
+            }
         }
         Ok(())
     }
@@ -256,7 +324,8 @@ impl Sums {
         }
     }
 
-    fn apply(&mut self, level: usize, blanks: &[&[u16]], spray: &[u16], sign: Sign) {
+    /// Every part of the image takes all cycles before the next part, so that its sums stay in the cache.
+    fn apply(&mut self, level: usize, cycles: &[Cycle<'_>], sign: Sign) {
         let saturation = self.saturation_count;
         let LevelSums { sum, sum_squares, sum_blanks, count, .. } = &mut self.levels[level];
         sum.par_chunks_mut(CHUNK_PIXELS)
@@ -265,25 +334,49 @@ impl Sums {
             .zip(count.par_chunks_mut(CHUNK_PIXELS))
             .enumerate()
             .for_each(|(chunk, (((sum, sum_squares), sum_blanks), count))| {
-                let from = chunk * CHUNK_PIXELS;
-                let range = from..from + sum.len();
-                let spray = &spray[range.clone()];
                 let target = Target { sum, sum_squares, sum_blanks, count };
-                if let [blank] = blanks {
-                    match sign {
-                        Sign::Add => target.pair::<1>(&blank[range], spray, saturation),
-                        Sign::Remove => target.pair::<-1>(&blank[range], spray, saturation),
-                    }
-                } else {
-                    let (total, highest) = total(blanks, range);
-                    let scale = i32::try_from(blanks.len()).expect("at most 256 blanks");
-                    let cycle = Cycle { total: &total, highest: &highest, spray, scale, saturation };
-                    match sign {
-                        Sign::Add => target.cycle::<1>(&cycle),
-                        Sign::Remove => target.cycle::<-1>(&cycle),
-                    }
-                }
+                let from = chunk * CHUNK_PIXELS;
+                pulp::Arch::new().dispatch(Part { target, from, cycles, saturation, sign });
             });
+    }
+}
+
+/// One cycle: its blanks and its spray frame, each `[rows · columns]` raw counts.
+#[derive(Debug, Clone, Copy)]
+pub struct Cycle<'a> {
+    /// As many blanks as the sums expect.
+    pub blanks: &'a [&'a [u16]],
+    /// The spray frame.
+    pub spray: &'a [u16],
+}
+
+/// A part of the image and the cycles that it takes.
+struct Part<'a> {
+    target: Target<'a>,
+    from: usize,
+    cycles: &'a [Cycle<'a>],
+    saturation: u16,
+    sign: Sign,
+}
+
+impl pulp::WithSimd for Part<'_> {
+    type Output = ();
+
+    // Plain loops over integers: the compiler makes vectors of them, here for the widest the machine has.
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(mut self, _: S) {
+        let range = self.from..self.from + self.target.sum.len();
+        for cycle in self.cycles {
+            let spray = &cycle.spray[range.clone()];
+            match (cycle.blanks, self.sign) {
+                ([blank], Sign::Add) => self.target.pair::<1>(&blank[range.clone()], spray, self.saturation),
+                ([blank], Sign::Remove) => {
+                    self.target.pair::<-1>(&blank[range.clone()], spray, self.saturation);
+                }
+                (blanks, Sign::Add) => self.target.cycle::<1>(blanks, self.from, spray, self.saturation),
+                (blanks, Sign::Remove) => self.target.cycle::<-1>(blanks, self.from, spray, self.saturation),
+            }
+        }
     }
 }
 
@@ -293,26 +386,8 @@ enum Sign {
     Remove,
 }
 
-/// Sum and maximum over the blanks of a cycle, per pixel of `range`.
-fn total(blanks: &[&[u16]], range: std::ops::Range<usize>) -> (Vec<i32>, Vec<u16>) {
-    let mut total = vec![0_i32; range.len()];
-    let mut highest = vec![0_u16; range.len()];
-    for blank in blanks {
-        for ((total, highest), &count) in total.iter_mut().zip(&mut highest).zip(&blank[range.clone()]) {
-            *total += i32::from(count);
-            *highest = (*highest).max(count);
-        }
-    }
-    (total, highest)
-}
-
-struct Cycle<'a> {
-    total: &'a [i32],
-    highest: &'a [u16],
-    spray: &'a [u16],
-    scale: i32,
-    saturation: u16,
-}
+/// Pixels whose blanks are added up at a time, on the stack.
+const BLOCK_PIXELS: usize = 256;
 
 struct Target<'a> {
     sum: &'a mut [i64],
@@ -323,7 +398,8 @@ struct Target<'a> {
 
 impl Target<'_> {
     /// One blank and one spray frame: the common case without scratch memory.
-    fn pair<const SIGN: i64>(self, blank: &[u16], spray: &[u16], saturation: u16) {
+    #[inline(always)]
+    fn pair<const SIGN: i64>(&mut self, blank: &[u16], spray: &[u16], saturation: u16) {
         let n = self.sum.len();
         let (blank, spray) = (&blank[..n], &spray[..n]);
         let (sum_squares, sum_blanks) = (&mut self.sum_squares[..n], &mut self.sum_blanks[..n]);
@@ -338,18 +414,36 @@ impl Target<'_> {
         }
     }
 
-    fn cycle<const SIGN: i64>(self, cycle: &Cycle<'_>) {
-        let n = self.sum.len();
-        let (total, highest, spray) = (&cycle.total[..n], &cycle.highest[..n], &cycle.spray[..n]);
-        let (sum_squares, sum_blanks) = (&mut self.sum_squares[..n], &mut self.sum_blanks[..n]);
-        let (sum, count) = (&mut self.sum[..n], &mut self.count[..n]);
-        for i in 0..n {
-            let valid = i32::from(highest[i].max(spray[i]) < cycle.saturation);
-            let y = (cycle.scale * i32::from(spray[i]) - total[i]) * valid;
-            let size = y.unsigned_abs();
-            put::<SIGN>(&mut sum[i], &mut sum_squares[i], y, size);
-            let lit = (total[i] * valid).unsigned_abs();
-            put_counts::<SIGN>(&mut sum_blanks[i], &mut count[i], lit, valid.unsigned_abs());
+    /// Several blanks: `from` is the place of the first pixel in the blanks' frames.
+    #[inline(always)]
+    fn cycle<const SIGN: i64>(&mut self, blanks: &[&[u16]], from: usize, spray: &[u16], saturation: u16) {
+        let scale = i32::try_from(blanks.len()).expect("at most 256 blanks");
+        let (mut total, mut highest) = ([0_i32; BLOCK_PIXELS], [0_u16; BLOCK_PIXELS]);
+        for start in (0..spray.len()).step_by(BLOCK_PIXELS) {
+            let n = BLOCK_PIXELS.min(spray.len() - start);
+            let block = start..start + n;
+            let (total, highest) = (&mut total[..n], &mut highest[..n]);
+            total.fill(0);
+            highest.fill(0);
+            for blank in blanks {
+                let blank = &blank[from + start..from + start + n];
+                for i in 0..n {
+                    // At most 256 · 65 535: no check is needed, and one would stop the vectoriser.
+                    total[i] = total[i].wrapping_add(i32::from(blank[i]));
+                    highest[i] = highest[i].max(blank[i]);
+                }
+            }
+            let spray = &spray[block.clone()];
+            let (sum, count) = (&mut self.sum[block.clone()], &mut self.count[block.clone()]);
+            let (sum_squares, sum_blanks) =
+                (&mut self.sum_squares[block.clone()], &mut self.sum_blanks[block]);
+            for i in 0..n {
+                let valid = i32::from(highest[i].max(spray[i]) < saturation);
+                let y = scale.wrapping_mul(i32::from(spray[i])).wrapping_sub(total[i]).wrapping_mul(valid);
+                put::<SIGN>(&mut sum[i], &mut sum_squares[i], y, y.unsigned_abs());
+                let lit = total[i].wrapping_mul(valid).unsigned_abs();
+                put_counts::<SIGN>(&mut sum_blanks[i], &mut count[i], lit, valid.unsigned_abs());
+            }
         }
     }
 }
@@ -462,6 +556,13 @@ mod tests {
             cycles[2..].iter().for_each(|c| add(&mut part, c));
             other.merge(&part).unwrap();
             assert!(forward == other);
+            let mut together = Sums::new(1, rows, columns, blanks, saturation).unwrap();
+            let dark: Vec<Vec<&[u16]>> =
+                cycles.iter().map(|(dark, _)| dark.iter().map(Vec::as_slice).collect()).collect();
+            let all: Vec<Cycle<'_>> =
+                dark.iter().zip(&cycles).map(|(blanks, (_, spray))| Cycle { blanks, spray }).collect();
+            together.add_cycles(0, &all).unwrap();
+            assert!(forward == together);
             for pixel in [0, 5, 8191, 8192, rows * columns - 1] {
                 let level = &forward.levels()[0];
                 let got =

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub const C2_UM_K: f64 = 14_387.768_775;
 
 /// A reading is extrapolated by at most this fraction of the calibrated range, measured in 1/T.
-const EXTRAPOLATION_MAX: f64 = 0.1;
+pub(super) const EXTRAPOLATION_MAX: f64 = 0.1;
 
 /// Iterations of the fit. Ordinary fits need 5 to 15; with this many the damping has tried everything.
 const ITERATIONS_MAX: usize = 200;

@@ -9,16 +9,16 @@
 use super::line::{self, Covariance, Line};
 
 /// Passes of (crossing → law → weights → line). A third changes T by less than 0.5 % of its standard deviation.
-const PASSES: usize = 2;
+pub(super) const PASSES: usize = 2;
 
 /// Smallest variance that is ever used, in counts²: keeps weights finite for a camera model of zero.
-const VARIANCE_MIN: f64 = 1e-6;
+pub(super) const VARIANCE_MIN: f64 = 1e-6;
 
 /// Degrees of freedom that the law's variance adds to a level's own when uncertainty is stated. Without it, 2.5 % of
 /// strongly scattering pixels with two cycles per level had an unbounded 95 % set and thus no temperature, and the
 /// 68 % sets held the truth in 73 to 75 %; with it none, and 68 to 72 % (`tests/coverage.rs`). More would take
 /// neighbours that fluctuate together for independent ones.
-const FREEDOM_LAW: f64 = 1.0;
+pub(super) const FREEDOM_LAW: f64 = 1.0;
 
 /// The level means of one pixel and what is known of their scatter. All slices are of equal length; variances are
 /// of one sample, in the unit of `y` squared.
@@ -53,6 +53,8 @@ pub struct LawFit {
     pub freedom_crossing: f64,
     /// Degrees of freedom of var(slope).
     pub freedom_slope: f64,
+    /// A and B: what shots add to the camera's variance at the crossing, in counts², and per squared distance to it.
+    pub law: (f64, f64),
     /// The variances rest on the camera model alone.
     pub camera_only: bool,
 }
@@ -91,6 +93,7 @@ pub fn fit(samples: &Samples<'_>, scratch: &mut Scratch) -> Option<LawFit> {
     } else {
         model.extend(samples.camera.iter().map(|&c| c.max(VARIANCE_MIN)));
     }
+    let mut law = (0.0, 0.0);
     for pass in 0..PASSES {
         let middle = 0.5 * (low + high);
         let crossing = if line.crossing.is_finite() { line.crossing.clamp(low, high) } else { middle };
@@ -103,6 +106,7 @@ pub fn fit(samples: &Samples<'_>, scratch: &mut Scratch) -> Option<LawFit> {
         } else {
             (0.0, 0.0)
         };
+        law = (a, b);
         for ((v, w), ((u, camera), n)) in model
             .iter_mut()
             .zip(weights.iter_mut())
@@ -123,6 +127,7 @@ pub fn fit(samples: &Samples<'_>, scratch: &mut Scratch) -> Option<LawFit> {
             slope_variance: 1.0 / line.spread,
             freedom_crossing: freedom,
             freedom_slope: freedom,
+            law,
             camera_only: !by_residual,
         });
     }
@@ -147,6 +152,7 @@ pub fn fit(samples: &Samples<'_>, scratch: &mut Scratch) -> Option<LawFit> {
         slope_variance: if low_slope { floor.slope } else { covariance.slope },
         freedom_crossing: if low { f64::INFINITY } else { crossing },
         freedom_slope: if low_slope { f64::INFINITY } else { slope },
+        law,
         camera_only: false,
     })
 }

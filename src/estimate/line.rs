@@ -7,7 +7,7 @@
 pub const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
 
 /// Relative spread of x below which a line is not defined: Sxx ≤ this · W.
-const SPREAD_MIN: f64 = 1e-9;
+pub(super) const SPREAD_MIN: f64 = 1e-9;
 
 /// A weighted line y = slope·x + offset and what follows from it.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -200,13 +200,14 @@ impl FrameReader {
         Ok(())
     }
 
-    /// Goes back to the first frame.
+    /// Goes to a frame, 0 the first.
     ///
     /// # Errors
     ///
     /// When the file cannot be sought.
-    pub fn rewind(&mut self) -> Result<(), NpyError> {
-        self.file.seek(SeekFrom::Start(self.start)).map(|_| ()).map_err(io_error(&self.path))
+    pub fn go_to(&mut self, frame: usize) -> Result<(), NpyError> {
+        let bytes = u64::try_from(2 * frame * self.rows * self.columns).expect("a place in a file");
+        self.file.seek(SeekFrom::Start(self.start + bytes)).map(|_| ()).map_err(io_error(&self.path))
     }
 }
 
@@ -581,7 +582,7 @@ mod tests {
         }
         assert_eq!(frame, [13; 6]);
         assert!(reader.next_into(&mut frame).is_err());
-        reader.rewind().unwrap();
+        reader.go_to(0).unwrap();
         reader.next_into(&mut frame).unwrap();
         assert_eq!(frame, [1, 2, 3, 4, 5, 6]);
     }

@@ -61,7 +61,8 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     write().map_err(FileError::io(path))
 }
 
-/// The bytes of dit.npz: f64 channels `[rows, columns]`, count u32 `[levels, rows, columns]`, flags u32.
+/// The bytes of dit.npz: f64 channels `[rows, columns]`, count and, if there are any,
+/// rejected u32 `[levels, rows, columns]`, flags u32.
 ///
 /// # Errors
 ///
@@ -72,7 +73,10 @@ pub fn npz_bytes(map: &DitMap) -> std::io::Result<Vec<u8>> {
     let mut arrays: Vec<(&str, Array)> =
         CHANNELS.iter().zip(map.channels()).map(|((name, _), values)| (*name, plane(values))).collect();
     let levels = vec![map.levels, map.rows, map.columns];
-    arrays.push(("count", Array { shape: levels, values: Values::U32(map.count.clone()) }));
+    arrays.push(("count", Array { shape: levels.clone(), values: Values::U32(map.count.clone()) }));
+    if !map.rejected.is_empty() {
+        arrays.push(("rejected", Array { shape: levels, values: Values::U32(map.rejected.clone()) }));
+    }
     arrays.push(("flags", Array { shape: shape.clone(), values: Values::U32(map.flags.clone()) }));
     let borrowed: Vec<(&str, &Array)> = arrays.iter().map(|(name, array)| (*name, array)).collect();
     to_bytes(&borrowed, Packing::Stored)
@@ -101,6 +105,10 @@ fn exr_bytes(map: &DitMap, meta: &ResultMeta) -> std::io::Result<Vec<u8>> {
     let pixels = map.rows * map.columns;
     for level in 0..map.levels {
         channels.push((format!("count_{level:02}"), exact(&map.count[level * pixels..(level + 1) * pixels])));
+        if !map.rejected.is_empty() {
+            let rejected = &map.rejected[level * pixels..(level + 1) * pixels];
+            channels.push((format!("rejected_{level:02}"), exact(rejected)));
+        }
     }
     let description = description(map, meta).to_string();
     // EXR texts are one byte per character; JSON can say the rest in escapes.

@@ -1,0 +1,383 @@
+//! From exact sums to the map: emissivity, effective temperature, their uncertainty and flags, per pixel.
+//!
+//! Spray minus blank is a line in x = γ_far·I_cal(T_plate): slope −γ_near·ε, zero at the crossing S, and the
+//! effective temperature follows from I_cal(T_eff) = ε_B·(S + E_f). T_eff is the emissivity-weighted,
+//! intensity-averaged temperature of the shots. A pixel without an answer has a flag and NaN, never a guess and never
+//! an error. Bits are the same for any number of threads and on any machine of one architecture: no fused
+//! operations, logarithms of our own.
+//!
+//! Knows nothing of files, frames or instruments. In reading order: what goes in (`inputs`) and what the flags mean
+//! (`flag`); the walk over the image (`solver`), its rows (`rows`), the mathematics (`kernel`) in vectors (`lanes`),
+//! the pixels that go alone (`single`, `residuals`), temperatures (`thermometer`); single lines (`known`).
+
+pub mod flag;
+mod inputs;
+mod kernel;
+mod known;
+mod lanes;
+mod residuals;
+mod rows;
+mod single;
+mod solver;
+mod thermometer;
+
+use super::accumulate::Sums;
+pub use inputs::{CameraNoise, Estimator, FitInputs};
+pub use known::{CONFIDENCE, KnownLine, T_KNOWN, known_line};
+pub use lanes::Number;
+pub use single::Prospect;
+pub use solver::{Solved, lines_with_same_weights, prospects};
+
+/// Most levels of a map.
+pub const LEVELS_MAX: usize = 256;
+
+/// Names and units of the f64 channels, in the order of [`DitMap::channels`].
+pub const CHANNELS: [(&str, &str); 14] = [
+    ("slope", "1"),
+    ("offset", "counts"),
+    ("crossing", "counts"),
+    ("emissivity", "1"),
+    ("temperature_k", "K"),
+    ("sigma_emissivity", "1"),
+    ("sigma_temperature_k", "K"),
+    ("chi2", "1"),
+    ("emissivity_low", "1"),
+    ("emissivity_high", "1"),
+    ("temperature_low_k", "K"),
+    ("temperature_high_k", "K"),
+    ("gain", "1"),
+    ("sigma_gain", "1"),
+];
+
+/// A map of f64 (kept) or f32 (looked at); every channel is `[rows · columns]` in row order, row 0 at the top, NaN = no answer (see the flags).
+#[derive(Debug, Clone, PartialEq)]
+pub struct DitMap<F = f64> {
+    /// Rows.
+    pub rows: usize,
+    /// Columns.
+    pub columns: usize,
+    /// Levels, with or without x.
+    pub levels: usize,
+    /// How it was fitted.
+    pub estimator: Estimator,
+    /// Confidence of the low/high channels.
+    pub confidence: f64,
+    /// Slope of spray − blank against x: −γ_near·ε.
+    pub slope: Vec<F>,
+    /// Value of the line at x = 0, in counts.
+    pub offset: Vec<F>,
+    /// x where the line is zero, in counts.
+    pub crossing: Vec<F>,
+    /// ε = −slope/γ_near. May be outside 0 … 1 by its uncertainty.
+    pub emissivity: Vec<F>,
+    /// Effective temperature, in K.
+    pub temperature_k: Vec<F>,
+    /// Standard deviation of the emissivity.
+    pub sigma_emissivity: Vec<F>,
+    /// Standard deviation of the temperature by linear propagation, in K.
+    pub sigma_temperature_k: Vec<F>,
+    /// Weighted squares of the line's residuals: large for scattering, drift or a wrong plate temperature.
+    pub chi2: Vec<F>,
+    /// Lower end of the emissivity's interval.
+    pub emissivity_low: Vec<F>,
+    /// Upper end.
+    pub emissivity_high: Vec<F>,
+    /// Lower end of Fieller's set of temperatures, in K; NaN if unbounded or outside the calibration.
+    pub temperature_low_k: Vec<F>,
+    /// Upper end, in K.
+    pub temperature_high_k: Vec<F>,
+    /// Slope of the blanks against I_cal: γ_far·γ_near·gain of the pixel. An alarm for fouled windows.
+    pub gain: Vec<F>,
+    /// Standard deviation of `gain` from the scatter about its line; NaN for two levels.
+    pub sigma_gain: Vec<F>,
+    /// Cycles that count, `[levels · rows · columns]`.
+    pub count: Vec<u32>,
+    /// Cycles left out of the pixel alone as spikes, `[levels · rows · columns]`; empty if there are none.
+    pub rejected: Vec<u32>,
+    /// Bits of [`flag`].
+    pub flags: Vec<u32>,
+}
+
+impl<F: Number> DitMap<F> {
+    /// The f64 channels in the order of [`CHANNELS`].
+    pub fn channels(&self) -> [&[F]; CHANNELS.len()] {
+        [
+            &self.slope,
+            &self.offset,
+            &self.crossing,
+            &self.emissivity,
+            &self.temperature_k,
+            &self.sigma_emissivity,
+            &self.sigma_temperature_k,
+            &self.chi2,
+            &self.emissivity_low,
+            &self.emissivity_high,
+            &self.temperature_low_k,
+            &self.temperature_high_k,
+            &self.gain,
+            &self.sigma_gain,
+        ]
+    }
+
+    /// The channels to be filled, and the flags.
+    fn planes_mut(&mut self) -> ([&mut [F]; CHANNELS.len()], &mut [u32]) {
+        let planes = [
+            self.slope.as_mut_slice(),
+            &mut self.offset,
+            &mut self.crossing,
+            &mut self.emissivity,
+            &mut self.temperature_k,
+            &mut self.sigma_emissivity,
+            &mut self.sigma_temperature_k,
+            &mut self.chi2,
+            &mut self.emissivity_low,
+            &mut self.emissivity_high,
+            &mut self.temperature_low_k,
+            &mut self.temperature_high_k,
+            &mut self.gain,
+            &mut self.sigma_gain,
+        ];
+        (planes, &mut self.flags)
+    }
+
+    /// A map of no pixels, to be filled by [`solve_into`].
+    pub fn empty() -> Self {
+        Self {
+            rows: 0,
+            columns: 0,
+            levels: 0,
+            estimator: Estimator::Default,
+            confidence: CONFIDENCE,
+            slope: Vec::new(),
+            offset: Vec::new(),
+            crossing: Vec::new(),
+            emissivity: Vec::new(),
+            temperature_k: Vec::new(),
+            sigma_emissivity: Vec::new(),
+            sigma_temperature_k: Vec::new(),
+            chi2: Vec::new(),
+            emissivity_low: Vec::new(),
+            emissivity_high: Vec::new(),
+            temperature_low_k: Vec::new(),
+            temperature_high_k: Vec::new(),
+            gain: Vec::new(),
+            sigma_gain: Vec::new(),
+            count: Vec::new(),
+            rejected: Vec::new(),
+            flags: Vec::new(),
+        }
+    }
+
+    /// Makes room for the pixels of `sums`; every value is then written by the fit.
+    fn reshape(&mut self, sums: &Sums, inputs: &FitInputs<'_>) {
+        let pixels = sums.rows() * sums.columns();
+        (self.rows, self.columns, self.levels) = (sums.rows(), sums.columns(), sums.levels().len());
+        (self.estimator, self.confidence) = (inputs.estimator, inputs.confidence);
+        for plane in [
+            &mut self.slope,
+            &mut self.offset,
+            &mut self.crossing,
+            &mut self.emissivity,
+            &mut self.temperature_k,
+            &mut self.sigma_emissivity,
+            &mut self.sigma_temperature_k,
+            &mut self.chi2,
+            &mut self.emissivity_low,
+            &mut self.emissivity_high,
+            &mut self.temperature_low_k,
+            &mut self.temperature_high_k,
+            &mut self.gain,
+            &mut self.sigma_gain,
+        ] {
+            // Zeroed, not NaN: fresh memory of that kind is only touched by the threads that fill it.
+            if plane.len() != pixels {
+                *plane = vec![F::default(); pixels];
+            }
+        }
+        if self.flags.len() != pixels {
+            self.flags = vec![0; pixels];
+        }
+        self.count.clear();
+        for level in sums.levels() {
+            self.count.extend_from_slice(&level.count);
+        }
+        self.rejected.clear();
+        if sums.levels().iter().any(|level| !level.outliers.is_empty()) {
+            for level in sums.levels() {
+                self.rejected.extend((0..pixels).map(|pixel| level.outliers(pixel)));
+            }
+        }
+    }
+
+    /// Takes everything but the gain from a pixel that is not looked at, and the flags of its line.
+    fn silence(&mut self, i: usize) {
+        let (mut planes, flags) = self.planes_mut();
+        planes[..kernel::GAIN].iter_mut().for_each(|plane| plane[i] = F::NAN);
+        flags[i] &= flag::NO_PLATE
+            | flag::DEAD
+            | flag::CONSTANT
+            | flag::SATURATED
+            | flag::OUTLIERS
+            | flag::TOO_FEW_LEVELS;
+    }
+
+    /// How many pixels carry each flag, in the order of [`flag::LEGEND`].
+    pub fn flag_counts(&self) -> Vec<(&'static str, usize)> {
+        flag::LEGEND
+            .iter()
+            .map(|&(bit, name, _)| (name, self.flags.iter().filter(|&&f| f & bit != 0).count()))
+            .collect()
+    }
+}
+
+/// Fits every pixel.
+///
+/// Panics when the inputs do not fit the sums (number of levels, size of the flat), which is the caller's mistake.
+pub fn solve(sums: &Sums, inputs: &FitInputs<'_>) -> DitMap {
+    let mut map = DitMap::empty();
+    solve_into(sums, inputs, &mut map);
+    map
+}
+
+/// As [`solve`], in f64 or f32, into a map whose memory is used again. In f32 temperatures differ by less than a
+/// millikelvin, far below their noise: good for looking, not for keeping.
+///
+/// Panics as [`solve`].
+pub fn solve_into<F: Solved>(sums: &Sums, inputs: &FitInputs<'_>, map: &mut DitMap<F>) {
+    solver::solve_into(sums, inputs, map);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::calibration::{Range, SakumaHattori};
+
+    /// Counts of ten thousands, so that rounding is below 10 mK and noise-free levels test the equations.
+    const CURVE: SakumaHattori = SakumaHattori { a_counts: 7.2e7, a_um: 3.4, b_um_k: 1.5 };
+    const PLATES_K: [f64; 4] = [403.0, 433.0, 463.0, 533.0];
+    const GAMMA_NEAR: f64 = 0.93;
+    const GAMMA_FAR: f64 = 0.96;
+    const EMISSIVITY_PLATE: f64 = 0.98;
+    const FAR_WINDOW: f64 = 150.0;
+
+    fn inputs(estimator: Estimator) -> FitInputs<'static> {
+        FitInputs {
+            x_counts: PLATES_K.iter().map(|&t| Some(GAMMA_FAR * CURVE.value(t))).collect(),
+            gamma_near: GAMMA_NEAR,
+            gamma_far: GAMMA_FAR,
+            emissivity_plate: EMISSIVITY_PLATE,
+            far_window_counts: FAR_WINDOW,
+            curve: CURVE,
+            range: None,
+            camera: CameraNoise::ROUNDING_ONLY,
+            estimator,
+            confidence: CONFIDENCE,
+            flat_gain: None,
+        }
+    }
+
+    /// Sums of a row of pixels (emissivity, temperature, gain), two cycles of two blanks; the second cycle is one
+    /// count brighter with spray. A gain of zero does not see the plate.
+    fn sums(pixels: &[(f64, f64, f64)]) -> Sums {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "counts")]
+        let counts = |signal: f64| (1000.0 + signal).round() as u16;
+        let mut sums = Sums::new(PLATES_K.len(), 1, pixels.len(), 2, 60_000).unwrap();
+        for (level, &plate) in PLATES_K.iter().enumerate() {
+            let x = GAMMA_FAR * CURVE.value(plate);
+            let blank: Vec<u16> =
+                pixels.iter().map(|p| counts(p.2 * GAMMA_NEAR * (x + FAR_WINDOW))).collect();
+            for cycle in [0.0, 1.0] {
+                let spray: Vec<u16> = pixels
+                    .iter()
+                    .map(|&(emissivity, temperature_k, gain)| {
+                        let s = CURVE.value(temperature_k) / EMISSIVITY_PLATE - FAR_WINDOW;
+                        let signal = x + FAR_WINDOW + emissivity * (s - x);
+                        counts(gain * GAMMA_NEAR * signal + cycle)
+                    })
+                    .collect();
+                sums.add_cycle(level, &[&blank, &blank], &spray).unwrap();
+            }
+        }
+        sums
+    }
+
+    const ALL: [Estimator; 3] = [Estimator::Default, Estimator::Paper, Estimator::Ols];
+
+    #[test]
+    fn windows_plate_and_flat_follow_the_equations() {
+        let flat = [1.0, 0.8, 1.0];
+        let sums = sums(&[(0.7, 449.0, 1.0), (0.7, 449.0, 0.8), (0.3, 480.0, 1.0)]);
+        for estimator in ALL {
+            let map = solve(&sums, &FitInputs { flat_gain: Some(&flat), ..inputs(estimator) });
+            for (i, (emissivity, temperature)) in
+                [(0.7, 449.0), (0.7, 449.0), (0.3, 480.0)].into_iter().enumerate()
+            {
+                assert!((map.emissivity[i] - emissivity).abs() < 2e-4, "{estimator:?} {}", map.emissivity[i]);
+                assert!((map.temperature_k[i] - temperature).abs() < 0.1, "{}", map.temperature_k[i]);
+                assert!((map.gain[i] - GAMMA_NEAR * GAMMA_FAR).abs() < 1e-3, "{}", map.gain[i]);
+                assert_eq!(map.flags[i], 0);
+            }
+        }
+    }
+
+    #[test]
+    fn pixels_beside_the_plate_are_masked() {
+        let sums = sums(&[(0.7, 449.0, 1.0), (0.5, 449.0, 1.0), (0.6, 449.0, 0.0)]);
+        let map = solve(&sums, &inputs(Estimator::Default));
+        assert_eq!(map.flags[0] & flag::NO_PLATE, 0);
+        assert_ne!(map.flags[2] & flag::NO_PLATE, 0);
+        assert!(map.temperature_k[2].is_nan() && map.emissivity[2].is_nan());
+    }
+
+    #[test]
+    fn temperatures_outside_the_calibration_are_marked() {
+        let sums = sums(&[(0.7, 449.0, 1.0), (0.7, 538.0, 1.0), (0.7, 600.0, 1.0)]);
+        let range = Some(Range { low_k: 403.0, high_k: 533.0 });
+        for estimator in ALL {
+            let map = solve(&sums, &FitInputs { range, ..inputs(estimator) });
+            assert_eq!(map.flags[0], 0);
+            assert_eq!(map.flags[1], flag::EXTRAPOLATED);
+            assert!(map.temperature_k[1].is_finite());
+            assert_eq!(map.flags[2], flag::OUT_OF_RANGE);
+            assert!(map.temperature_k[2].is_nan() && map.sigma_temperature_k[2].is_nan());
+        }
+    }
+
+    #[test]
+    fn levels_without_x_are_left_out() {
+        let sums = sums(&[(0.7, 449.0, 1.0)]);
+        for estimator in ALL {
+            let mut few = inputs(estimator);
+            few.x_counts[1] = None;
+            let map = solve(&sums, &few);
+            assert!((map.temperature_k[0] - 449.0).abs() < 0.1);
+            assert_eq!(map.count, [2, 2, 2, 2]);
+            few.x_counts = vec![None, few.x_counts[2], Some(f64::NAN), None];
+            let none = solve(&sums, &few);
+            assert_eq!(none.flags[0] & flag::TOO_FEW_LEVELS, flag::TOO_FEW_LEVELS);
+            assert!(none.channels()[..12].iter().all(|channel| channel[0].is_nan()));
+        }
+    }
+
+    /// Dead, saturated, empty and one-pixel maps: flags and NaN, whichever the estimator.
+    #[test]
+    fn nasty_sums_give_flags() {
+        for estimator in ALL {
+            let empty = Sums::new(4, 2, 3, 2, 60_000).unwrap();
+            let map = solve(&empty, &inputs(estimator));
+            assert!(map.flags.iter().all(|f| f & flag::TOO_FEW_LEVELS != 0));
+            let mut dead = Sums::new(4, 1, 2, 2, 60_000).unwrap();
+            for level in 0..4 {
+                for _ in 0..2 {
+                    dead.add_cycle(level, &[&[0, 60_000], &[0, 60_000]], &[0, 60_000]).unwrap();
+                }
+            }
+            let map = solve(&dead, &inputs(estimator));
+            assert_ne!(map.flags[0] & flag::DEAD, 0);
+            assert_ne!(map.flags[1] & flag::SATURATED, 0);
+            assert!(map.temperature_k.iter().all(|t| t.is_nan()));
+            let none = Sums::new(4, 0, 0, 2, 60_000).unwrap();
+            assert!(solve(&none, &inputs(estimator)).flags.is_empty());
+        }
+    }
+}

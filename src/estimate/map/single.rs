@@ -1,0 +1,180 @@
+//! Pixels one by one: those whose variances cannot be pooled (one cycle a level), and the weights of any pixel.
+
+use super::kernel::{self, Answer, Constants, Fitted, Lined};
+use super::lanes::{Doubles, Number};
+use super::rows::Row;
+use super::{Estimator, FitInputs, flag};
+use crate::estimate::law;
+use crate::estimate::line;
+use pulp::Scalar;
+
+/// What a pixel's shots so far tell of further ones.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prospect {
+    /// x of its levels, in counts.
+    pub x: Vec<f64>,
+    /// Their weights: cycles over the variance of a shot.
+    pub weights: Vec<f64>,
+    /// Where its line crosses zero, in counts.
+    pub crossing: f64,
+    /// γ_near·ε.
+    pub slope: f64,
+    /// Variance of a shot with the plate at the crossing, in counts², with the camera's mean part.
+    pub variance_at_crossing: f64,
+    /// What is added per squared distance of x from the crossing.
+    pub curvature: f64,
+    /// Its temperature, in K.
+    pub temperature_k: f64,
+}
+
+/// Reusable memory for one pixel: its levels that are there.
+#[derive(Default)]
+pub(super) struct Pixel {
+    /// Which levels with an x they are.
+    pub(super) levels: Vec<usize>,
+    x: Vec<f64>,
+    y: Vec<f64>,
+    count: Vec<f64>,
+    own: Vec<f64>,
+    pooled: Vec<f64>,
+    camera: Vec<f64>,
+    residual_squares: Vec<f64>,
+    scratch: law::Scratch,
+}
+
+impl Pixel {
+    /// Collects the levels of column `i`. `residuals` are pooled squares of this pixel, one per level with an x, or
+    /// none.
+    pub(super) fn gather<F: Number>(
+        &mut self,
+        row: &Row<'_, F>,
+        i: usize,
+        inputs: &FitInputs<'_>,
+        constants: &Constants,
+        residuals: impl Iterator<Item = f64>,
+    ) {
+        for values in [
+            &mut self.x,
+            &mut self.y,
+            &mut self.count,
+            &mut self.own,
+            &mut self.pooled,
+            &mut self.camera,
+            &mut self.residual_squares,
+        ] {
+            values.clear();
+        }
+        self.levels.clear();
+        let flat = row.flat[i].wide();
+        for (k, &x) in constants.x.iter().enumerate() {
+            let at = k * row.stride + i;
+            let n = row.count[at].wide();
+            if n < 1.0 {
+                continue;
+            }
+            let (mean, blank) = (row.mean[at].wide(), row.blank[at].wide());
+            self.levels.push(k);
+            self.x.push(x);
+            self.y.push(mean);
+            self.count.push(n);
+            self.own.push(if n < 2.0 { f64::NAN } else { row.own[at].wide() });
+            self.pooled.push(row.pooled[at].wide());
+            let camera = inputs.camera.variance((blank + mean) * flat, blank * flat, constants.blanks);
+            self.camera.push(camera / (flat * flat));
+        }
+        self.residual_squares.extend(residuals);
+        // Pooled residuals belong to the line through all levels.
+        if self.x.len() != constants.x.len() {
+            self.residual_squares.clear();
+        }
+    }
+
+    fn samples(&self) -> law::Samples<'_> {
+        law::Samples {
+            x: &self.x,
+            y: &self.y,
+            count: &self.count,
+            own: &self.own,
+            pooled: &self.pooled,
+            camera: &self.camera,
+            residual_squares: &self.residual_squares,
+        }
+    }
+
+    /// Our own fit of the gathered levels; None where they do not define a line.
+    pub(super) fn fit(&mut self, constants: &Constants) -> Option<Answer<Doubles<Scalar>>> {
+        let mut scratch = std::mem::take(&mut self.scratch);
+        let fit = law::fit(&self.samples(), &mut scratch);
+        self.scratch = scratch;
+        let fit = fit?;
+        let one = |value: f64| Doubles(Scalar::new(), value);
+        let flags = if fit.camera_only { flag::NO_STATISTICS } else { 0 };
+        #[expect(clippy::cast_precision_loss, reason = "a number of levels")]
+        let points = self.x.len() as f64;
+        let line = fit.line;
+        let fitted = Fitted {
+            line: Lined {
+                slope: one(line.slope),
+                chi2: one(line.chi2),
+                mean_x: one(line.mean_x),
+                mean_y: one(line.mean_y),
+                weight: one(line.weight),
+                spread: one(line.spread),
+                points: one(points),
+            },
+            covariance: [one(fit.covariance.slope), one(fit.covariance.mean), one(fit.covariance.cross)],
+            slope_variance: one(fit.slope_variance),
+            inverse_freedoms: [one(1.0 / fit.freedom_crossing), one(1.0 / fit.freedom_slope)],
+            flags: one(f64::from(flags)),
+        };
+        Some(kernel::judge(one(0.0), constants, true, &fitted))
+    }
+
+    /// Slope of the unweighted line.
+    pub(super) fn unweighted_slope(&self) -> Option<f64> {
+        line::weighted(&self.x, &self.y, &vec![1.0; self.x.len()]).map(|line| line.slope)
+    }
+
+    /// What the gathered levels tell of further ones; None where they do not define a line with a temperature.
+    pub(super) fn prospect(&mut self, inputs: &FitInputs<'_>) -> Option<Prospect> {
+        let mut scratch = std::mem::take(&mut self.scratch);
+        let fit = law::fit(&self.samples(), &mut scratch);
+        self.scratch = scratch;
+        let fit = fit?;
+        let crossing = fit.line.crossing;
+        let temperature_k =
+            inputs.curve.inverse(inputs.emissivity_plate * (crossing + inputs.far_window_counts));
+        #[expect(clippy::cast_precision_loss, reason = "a number of levels")]
+        let camera = self.camera.iter().sum::<f64>() / self.camera.len() as f64;
+        let prospect = Prospect {
+            x: self.x.clone(),
+            weights: self.scratch.weights().to_vec(),
+            crossing,
+            slope: -fit.line.slope,
+            variance_at_crossing: camera + fit.law.0,
+            curvature: fit.law.1,
+            temperature_k,
+        };
+        temperature_k.is_finite().then_some(prospect)
+    }
+
+    /// The weights that `estimator` gives the gathered levels; None where they do not define a line.
+    pub(super) fn weights(&mut self, estimator: Estimator) -> Option<Vec<f64>> {
+        let alike = vec![1.0; self.x.len()];
+        line::weighted(&self.x, &self.y, &alike)?;
+        match estimator {
+            Estimator::Ols => Some(alike),
+            Estimator::Paper if self.own.iter().any(|v| v.is_nan()) => Some(alike),
+            Estimator::Paper => {
+                let own = self.own.iter().zip(&self.count);
+                Some(own.map(|(&v, &n)| n / v.max(line::ROUNDING_VARIANCE)).collect())
+            }
+            Estimator::Default => {
+                let mut scratch = std::mem::take(&mut self.scratch);
+                let fitted = law::fit(&self.samples(), &mut scratch).is_some();
+                self.scratch = scratch;
+                fitted.then(|| self.scratch.weights().to_vec())
+            }
+        }
+    }
+}

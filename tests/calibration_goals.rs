@@ -1,0 +1,141 @@
+//! How well a calibration gives temperatures back: the shipped filter with its leak, the open band, noise, another
+//! integration time.
+//!
+//! Signals are those of the simulated bench (band integrals over the shipped response), which share nothing with the
+//! fitted form. Query range 345 … 600 K, ten points over 340 … 610 K as in the prototypes.
+
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
+
+mod common;
+
+use common::Preset;
+use ditd::estimate::calibration::{CalibrationPoint, OffsetMode, SakumaHattori, fit_curve, map_on_standard};
+use ditd_sim::rig::build::{self, View};
+use ditd_sim::rig::chamber::World;
+use std::path::Path;
+
+const INTEGRATION_S: f64 = 25e-6;
+
+fn bench(open_band: bool) -> World {
+    let (_, config) = Preset::spray().parsed();
+    let mut rig = config.rig.unwrap();
+    if open_band {
+        rig.filter.name = None;
+    }
+    build::world(&rig, View::Bench, 1, Path::new(""), &|_, _| {}).unwrap()
+}
+
+fn points(signal: &dyn Fn(f64) -> f64, n: u32) -> Vec<CalibrationPoint> {
+    (0..n)
+        .map(|i| {
+            let temperature_k = 340.0 + 270.0 * f64::from(i) / f64::from(n - 1);
+            let counts = signal(temperature_k);
+            CalibrationPoint { temperature_k, counts, sigma_counts: 1e-3 * counts }
+        })
+        .collect()
+}
+
+/// Rms error of T, K, over 345 … 600 K.
+fn rms(curve: &SakumaHattori, signal: &dyn Fn(f64) -> f64) -> f64 {
+    let kelvins: Vec<f64> = (0..=255).map(|i| 345.0 + f64::from(i)).collect();
+    let squares: f64 = kelvins.iter().map(|&t| (curve.inverse(signal(t)) - t).powi(2)).sum();
+    (squares / 256.0).sqrt()
+}
+
+#[test]
+fn filtered_and_open_bands_follow_the_curve() {
+    for (open_band, bound) in [(false, 0.005), (true, 0.050)] {
+        let world = bench(open_band);
+        let signal = |t: f64| world.optics().calibration_counts(t, INTEGRATION_S);
+        let fit = fit_curve(&points(&signal, 10), OffsetMode::Known(0.0)).unwrap();
+        let rms = rms(&fit.curve, &signal);
+        eprintln!("open band {open_band}: {:.2} mK rms", 1e3 * rms);
+        assert!(rms < bound, "open band {open_band}: {rms} K");
+    }
+}
+
+/// Five points of the exact form, in any units of counts, offset known or not.
+#[test]
+fn five_exact_points_come_back_to_a_millikelvin() {
+    for (a_counts, a_um, b_um_k) in [(7.2e5, 3.4, 1.5), (3.1e4, 4.6, -40.0), (9.0e7, 3.9, 120.0)] {
+        let truth = SakumaHattori { a_counts, a_um, b_um_k };
+        for mode in [OffsetMode::Known(0.0), OffsetMode::Free] {
+            let signal = |t: f64| truth.value(t);
+            let fit = fit_curve(&points(&signal, 5), mode).unwrap();
+            let worst = (345..=600)
+                .map(|t| (fit.curve.inverse(truth.value(f64::from(t))) - f64::from(t)).abs())
+                .fold(0.0, f64::max);
+            assert!(worst < 1e-3, "{truth:?} {mode:?}: {worst}");
+        }
+    }
+}
+
+/// 0.15 counts and 0.1 % of noise, 0.05 K of plate, as the rms over 200 draws: below 0.15 K with the offset known. In
+/// both cases no more than what the points can give at all, which the fit's own covariance says (Cramér–Rao); an rms of
+/// 200 draws of three or four parameters is good to 4 %, and small steps of noisy curves leave out their second order.
+#[test]
+fn ten_noisy_points_are_good_for_a_fraction_of_a_kelvin() {
+    let truth = SakumaHattori { a_counts: 7.2e5, a_um: 3.4, b_um_k: 1.5 };
+    let mut state = 11_u64;
+    let mut normal = move || {
+        let sum: f64 = (0..12)
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                f64::from(u32::try_from(state >> 32).unwrap()) / 4_294_967_296.0
+            })
+            .sum();
+        sum - 6.0
+    };
+    for (mode, bound) in [(OffsetMode::Known(0.0), 0.15), (OffsetMode::Free, 0.35)] {
+        let (mut squares, mut promised) = (0.0, 0.0);
+        for _ in 0..200 {
+            let signal = |t: f64| truth.value(t);
+            let mut noisy = points(&signal, 10);
+            for point in &mut noisy {
+                let slope = truth.derivative(point.temperature_k);
+                let sigma = 0.15_f64.hypot(1e-3 * point.counts);
+                point.counts += sigma * normal() + slope * 0.05 * normal();
+                point.sigma_counts = sigma.hypot(slope * 0.05);
+            }
+            let fit = fit_curve(&noisy, mode).unwrap();
+            squares += rms(&fit.curve, &|t| truth.value(t)).powi(2);
+            let variance = |i: u32| {
+                let t = 345.0 + f64::from(i);
+                (fit.sigma_counts(t) / truth.derivative(t)).powi(2)
+            };
+            promised += (0..=255).map(variance).sum::<f64>() / 256.0;
+        }
+        let rms = (squares / 200.0_f64).sqrt();
+        let promised = (promised / 200.0_f64).sqrt();
+        eprintln!("{mode:?}: {rms:.3} K rms, {promised:.3} K promised");
+        assert!(rms < bound, "{mode:?}: {rms} K");
+        assert!((rms / promised - 1.0).abs() < 0.15, "{mode:?}: {rms} {promised}");
+    }
+}
+
+/// A standard curve taken at 25 µs serves at 20 µs: the mapping's gain absorbs the time, its offset the camera's.
+#[test]
+fn another_integration_time_is_absorbed_by_the_mapping() {
+    let world = bench(false);
+    let standard = fit_curve(
+        &points(&|t| world.optics().calibration_counts(t, INTEGRATION_S), 10),
+        OffsetMode::Known(0.0),
+    )
+    .unwrap();
+    let today = |t: f64| world.optics().calibration_counts(t, 20e-6) + 37.0;
+    for n in [2, 3, 5] {
+        let mapping = map_on_standard(&standard.curve, &points(&today, n)).unwrap();
+        assert!((mapping.gain - 0.8).abs() < 1e-4, "{}", mapping.gain);
+        let curve = mapping.curve(&standard.curve);
+        let worst = (345..=600)
+            .map(|t| {
+                let t = f64::from(t);
+                let back = curve.inverse(today(t) - mapping.offset_counts);
+                let through = standard.curve.inverse(mapping.to_standard(today(t)));
+                assert!((back - through).abs() < 1e-9);
+                (back - t).abs()
+            })
+            .fold(0.0, f64::max);
+        assert!(worst < 0.05, "{n} points: {worst} K");
+    }
+}
