@@ -332,7 +332,7 @@ impl Taken {
             place[pixel as usize] = i;
         }
         let (values, summaries) = (&self.values, &self.summaries);
-        let found: Vec<(Vec<(usize, bool)>, Vec<f32>)> = stencils
+        let found: Vec<LeftOut> = stencils
             .par_chunks(TASK_PIXELS)
             .enumerate()
             .map(|(task, stencils)| {
@@ -369,6 +369,9 @@ impl Taken {
         found.iter().map(|(which, _)| which.len()).sum()
     }
 }
+
+/// Places of candidates without sights, whether they meet the medium, and their values.
+type LeftOut = (Vec<(usize, bool)>, Vec<f32>);
 
 /// Keeps interpolated coefficients (plate, emission, direct emission) in their ranges.
 fn bounded(values: &mut [f32], groups: usize) {
