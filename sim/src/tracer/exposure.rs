@@ -9,7 +9,7 @@ use super::interpolation::{PIXEL_MAX, Stencil, estimates, is_first};
 use super::operator::Operator;
 use super::packet::{LANES, Packet};
 use super::pieces::Pieces;
-use super::pixels::{Frame, Refinement, in_tiles, sub_sights};
+use super::pixels::{Frame, Refinement, in_tiles, sub_sight, sub_sights};
 use super::reconstruct::ROWS;
 use super::sampling::Lit;
 use super::spectrum::{One, Spectrum, narrow, vectorised};
@@ -402,8 +402,7 @@ impl Aims<'_> {
     /// Origin, direction and weight of the k-th sight.
     #[inline(always)]
     fn at(&self, k: usize) -> ((Vector, Vector), f32) {
-        let place = [k / self.n, k % self.n].map(|i| (real(i) + 0.5) / real(self.n));
-        let (r, c) = (real(self.row) + place[0], real(self.column) + place[1]);
+        let (r, c) = sub_sight(self.row, self.column, self.n, k);
         let share = match self.shares {
             None => 1.0,
             Some([on, _]) if self.frame.sees(r, c) => on,
