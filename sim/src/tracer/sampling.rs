@@ -46,12 +46,12 @@ const ROUGH: f64 = 2e-3;
 const MARGIN: f64 = 0.7;
 
 /// Depth and spread of leaves and of path blocks at a target of 1e-3; they go with the root of the target, those of path
-/// blocks with the target itself where it is larger, up to this factor.
-const ROUGHEST: f64 = 4.0;
-
+/// blocks with the target itself where it is larger, up to [`ROUGHEST`].
 const LEAF: Limits = Limits { depth: 0.3, spread: 0.1 };
 
 const BLOCK: Limits = Limits { depth: 1.0, spread: 0.04 };
+
+const ROUGHEST: f64 = 4.0;
 
 /// In-scattered light with the leaves that it belongs to.
 pub(super) struct Lit<S> {
