@@ -60,7 +60,7 @@ fn render(position_m: [f64; 3], finer: usize, target_error: f64) -> (Vec<f64>, f
     };
     let plate = PlateShape::Cone { facing: [0.0, -1.0, 0.0], half_angle_deg: 90.0 };
     let options = RenderOptions { target_error, ..RenderOptions::default() };
-    let image = render_image(&blob(), &camera, Some(&plate), &options, &|_| {}).unwrap();
+    let image = render_image(&blob(), &camera, Some(&plate), &options, &|_| {}).expect("a sound scene");
     let mut plate = vec![1.0; camera.rows * camera.columns];
     for (&pixel, &a) in image.pixels.iter().zip(&image.a_plate) {
         plate[pixel as usize] = f64::from(a);
