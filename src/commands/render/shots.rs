@@ -249,7 +249,8 @@ impl Moments {
 
     /// Standard deviation of one shot, with n − 1; NaN of fewer than two.
     fn deviation(&self) -> Vec<f64> {
-        self.squares.iter().map(|squares| (squares / (self.count - 1.0)).sqrt()).collect()
+        let others = (self.count - 1.0).max(0.0);
+        self.squares.iter().map(|squares| (squares / others).sqrt()).collect()
     }
 }
 
