@@ -7,6 +7,7 @@
 use crate::plan::Plan;
 use ditd_drivers::instrument::{Identity, PlateReading, ShotKind, ShotProgram};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -110,6 +111,13 @@ pub enum Record {
         cycle: u32,
         /// Why.
         reason: String,
+    },
+    /// What the camera's transport counted in a burst: packets, resends, losses.
+    Transport {
+        /// Level index.
+        level: u32,
+        /// Counts by their names.
+        counters: BTreeMap<String, u64>,
     },
     /// The campaign ended in its safe state, with or without trouble.
     Stop {

@@ -27,5 +27,6 @@ pub mod files;
 pub mod report;
 pub mod clock;
 pub mod console;
+pub mod doctor;
 pub mod interrupt;
 pub mod commands;

@@ -40,6 +40,12 @@ enum Command {
     Fuel(commands::fuel::Args),
     /// Read a CFD spray and print its totals
     Import(commands::import::Args),
+    /// List serial ports and GigE Vision cameras
+    Devices(commands::devices::Args),
+    /// Say what is wrong with this machine, and how to mend it
+    Doctor(commands::doctor::Args),
+    /// Print every feature of a GenICam camera
+    Probe(commands::probe::Args),
     /// Measure the speed and the accuracy of this machine's computations
     Bench(commands::bench::Args),
     /// Print the JSON schema of the campaign file
@@ -67,6 +73,9 @@ fn main() -> ExitCode {
         Command::Planck(args) => commands::planck::run(args),
         Command::Fuel(args) => commands::fuel::run(args),
         Command::Import(args) => commands::import::run(args),
+        Command::Devices(args) => commands::devices::run(args),
+        Command::Doctor(args) => commands::doctor::run(args, &clock),
+        Command::Probe(args) => commands::probe::run(args),
         Command::Bench(args) => commands::bench::run(&args, &clock),
         Command::Schema => commands::schema::run(),
         Command::Completions { shell } => {

@@ -199,6 +199,7 @@ impl Reduced {
             | Record::Intent { .. }
             | Record::Done { .. }
             | Record::Settled { .. }
+            | Record::Transport { .. }
             | Record::Stop { .. } => {}
         }
         Ok(())

@@ -270,7 +270,7 @@ fn summary(
         "schema": 1,
         "software": concat!("ditd ", env!("CARGO_PKG_VERSION")),
         "name": config.campaign.name,
-        "simulated": config.rig.is_some(),
+        "simulated": config.is_simulated(),
         "estimator": map.estimator.name(),
         "rows": map.rows,
         "columns": map.columns,

@@ -1,11 +1,12 @@
 //! Opens a rig: instruments on their wires, or the simulated world behind in-memory ones.
 
 use crate::campaign::Instruments;
-use crate::config::{Config, Pace};
+use crate::config::{Config, Pace, SIMULATED};
 use crate::reduce::Reduced;
 use crate::truth::WorldTruth;
 use ditd_drivers::error::DriverError;
 use ditd_drivers::fluke_418x::Fluke418x;
+use ditd_drivers::gige::GigeSettings;
 use ditd_drivers::instrument::{Calibrator, Camera, TriggerUnit};
 use ditd_drivers::quantum_9520::{Quantum9520, TriggerLimits};
 use ditd_drivers::wire::{Wire, WireSettings};
@@ -109,7 +110,8 @@ pub fn prepare(
     folder: &Path,
     progress: &(dyn Fn(&str, f64) + Sync),
 ) -> Result<Prepared, OpenError> {
-    let world = match &config.rig {
+    // A rig that is simulated behind real lines has its world there.
+    let world = match config.rig.as_ref().filter(|_| config.camera.address == SIMULATED) {
         Some(rig) => Some(Arc::new(build::world(rig, view, config.campaign.seed, folder, progress)?)),
         None => None,
     };
@@ -147,9 +149,7 @@ impl Prepared {
 
     /// Whether the campaign runs in virtual time.
     pub fn is_virtual(&self) -> bool {
-        let addresses =
-            [&self.config.plate.address, &self.config.trigger.address, &self.config.camera.address];
-        self.config.campaign.pace == Pace::Max && addresses.iter().all(|address| *address == "sim")
+        self.config.campaign.pace == Pace::Max && self.config.is_simulated()
     }
 
     /// Where this session begins.
@@ -174,7 +174,7 @@ impl Prepared {
         let start = tokio::time::Instant::now();
         let mut trigger = self.open_trigger(pulses, start).await?;
         let others = match self.open_plate(start).await {
-            Ok((mut plate, surface)) => match self.camera(surface, received) {
+            Ok((mut plate, surface)) => match self.open_camera(surface, received).await {
                 Ok(camera) => Ok((plate, camera)),
                 Err(error) => {
                     // The first trouble is the one to tell.
@@ -185,12 +185,9 @@ impl Prepared {
             Err(error) => Err(error),
         };
         match others {
-            Ok((plate, camera)) => {
-                let camera = Box::new(camera);
-                Ok(Opened {
-                    instruments: Instruments { plate: Box::new(plate), trigger: Box::new(trigger), camera },
-                })
-            }
+            Ok((plate, camera)) => Ok(Opened {
+                instruments: Instruments { plate: Box::new(plate), trigger: Box::new(trigger), camera },
+            }),
             Err(error) => {
                 let _ = trigger.make_safe().await;
                 Err(error)
@@ -220,7 +217,7 @@ impl Prepared {
             }
             Err(error) => trouble.push(error),
         }
-        match self.camera(surface, received) {
+        match self.open_camera(surface, received).await {
             Ok(mut camera) => trouble.extend(camera.make_safe().await.err().map(OpenError::from)),
             Err(error) => trouble.push(error),
         }
@@ -268,7 +265,19 @@ impl Prepared {
         Ok((Fluke418x::new(Wire::over(ours, "plate calibrator at sim")), Some(plate)))
     }
 
-    fn camera(
+    async fn open_camera(
+        &self,
+        plate: Option<Arc<Mutex<Plate>>>,
+        pulses: mpsc::Receiver<ditd_sim::rig::pulse::Pulse>,
+    ) -> Result<Box<dyn Camera>, OpenError> {
+        let camera = &self.config.camera;
+        if camera.address == SIMULATED {
+            return Ok(Box::new(self.simulated_camera(plate, pulses)?));
+        }
+        open_gige(&camera.address, &camera.gige.clone().unwrap_or_default()).await
+    }
+
+    fn simulated_camera(
         &self,
         plate: Option<Arc<Mutex<Plate>>>,
         pulses: mpsc::Receiver<ditd_sim::rig::pulse::Pulse>,
@@ -410,6 +419,21 @@ fn read_surface(folder: &Path) -> HashMap<u64, f64> {
 fn mean_surface(surface: &HashMap<u64, f64>, frames: &[u64]) -> f64 {
     let seen: Vec<f64> = frames.iter().filter_map(|frame| surface.get(frame).copied()).collect();
     if seen.is_empty() { f64::NAN } else { seen.iter().sum::<f64>() / seen.len() as f64 }
+}
+
+#[cfg(feature = "aravis")]
+async fn open_gige(address: &str, settings: &GigeSettings) -> Result<Box<dyn Camera>, OpenError> {
+    Ok(Box::new(ditd_drivers::gige::GigeCamera::open(address, settings).await?))
+}
+
+#[cfg(not(feature = "aravis"))]
+#[expect(clippy::unused_async, reason = "as the one with cameras")]
+async fn open_gige(address: &str, _: &GigeSettings) -> Result<Box<dyn Camera>, OpenError> {
+    Err(OpenError::Driver(DriverError::Missing {
+        who: format!("camera at {address}"),
+        why: ditd_drivers::gige::WITHOUT_ARAVIS.to_owned(),
+        hint: "Or run the simulated camera: driver = \"sim\", address = \"sim\".".to_owned(),
+    }))
 }
 
 /// The instrument's delivered line settings, with the campaign file's baud rate.

@@ -132,7 +132,7 @@ pub struct Setting<'a> {
 impl Setting<'_> {
     /// UTC at the start of the campaign's clock.
     fn utc(&self) -> String {
-        if self.config.rig.is_some() { self.config.campaign.epoch.clone() } else { self.clock.utc() }
+        if self.config.is_simulated() { self.config.campaign.epoch.clone() } else { self.clock.utc() }
     }
 }
 
@@ -483,7 +483,7 @@ fn prepare(setting: &Setting<'_>, view: View) -> Result<Prepared, SessionError> 
 fn recorder(setting: &Setting<'_>, folder: &RunFolder, reduced: Reduced) -> Result<Recorder, SessionError> {
     let c = &setting.config.camera;
     let recorder = Recorder::create(folder.root(), reduced, c.rows, c.columns)?;
-    Ok(if setting.config.rig.is_some() { recorder.without_waiting() } else { recorder })
+    Ok(if setting.config.is_simulated() { recorder.without_waiting() } else { recorder })
 }
 
 /// Runs a plan on the prepared rig, in virtual or real time; an early end becomes an error.

@@ -211,6 +211,15 @@ pub trait Camera: Send {
     async fn frame(&mut self, deadline: Duration) -> Result<Frame, DriverError>;
     /// Stops; frames not fetched are dropped.
     async fn stop(&mut self) -> Result<(), DriverError>;
+    /// Asks whether it is still there and obeys: what a silence means. [`DriverError::Lost`] when it is gone; then
+    /// [`Camera::prepare`] looks for it again for as long as its driver is told.
+    async fn check(&mut self) -> Result<(), DriverError> {
+        Ok(())
+    }
+    /// What the transport counted between the last start and stop: packets, resends, losses.
+    fn counters(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
     /// Stops, whatever state it is in. Idempotent.
     async fn make_safe(&mut self) -> Result<(), DriverError>;
 }

@@ -5,8 +5,10 @@
 
 pub mod error;
 pub mod fluke_418x;
+pub mod gige;
 pub mod instrument;
 mod keyword;
+pub mod ports;
 pub mod quantity;
 pub mod quantum_9520;
 pub mod wire;

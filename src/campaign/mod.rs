@@ -38,6 +38,9 @@ const WISH_POLL: Duration = Duration::from_millis(250);
 /// Cycles in a row without a single frame after which the trigger or the camera is taken for dead.
 const SILENT_CYCLES_MAX: u32 = 2;
 
+/// How often a camera may go and come back at one level.
+const CAMERA_LOSSES_MAX: u32 = 3;
+
 /// Relative difference of the integration time that a camera may round to: far below the 1e-3 that would show.
 const INTEGRATION_TOLERANCE: f64 = 1e-6;
 
@@ -210,6 +213,16 @@ pub struct Engine<'a> {
 enum Interrupt {
     Wish(Wish),
     Error(CampaignError),
+    /// The camera is gone: it may come back.
+    CameraLost(DriverError),
+}
+
+/// The camera's trouble: one that is gone is looked for, anything else ends the campaign.
+fn camera_trouble(error: DriverError) -> Interrupt {
+    match error {
+        DriverError::Lost { .. } => Interrupt::CameraLost(error),
+        other => Interrupt::Error(other.into()),
+    }
 }
 
 impl<E: Into<CampaignError>> From<E> for Interrupt {
@@ -254,6 +267,7 @@ impl Engine<'_> {
             Err(Interrupt::Wish(Wish::Stop)) => Ok(Ended::Stopped),
             Err(Interrupt::Wish(_)) => Ok(Ended::Paused),
             Err(Interrupt::Error(error)) => Err(error),
+            Err(Interrupt::CameraLost(error)) => Err(error.into()),
         };
         // Injector and clock first, before anything that could wait for a disk or a terminal; then once more in order,
         // with its record.
@@ -291,8 +305,48 @@ impl Engine<'_> {
         self.prepare().await?;
         for (index, level) in self.plan.levels.iter().enumerate() {
             let number = u32::try_from(index).expect("levels are few");
-            self.level(number, level).await?;
+            let mut losses = 0;
+            loop {
+                match self.level(number, level).await {
+                    Err(Interrupt::CameraLost(error)) if losses < CAMERA_LOSSES_MAX => {
+                        losses += 1;
+                        self.find_camera_again(number, level, &error).await?;
+                    }
+                    ended => break ended?,
+                }
+            }
         }
+        Ok(())
+    }
+
+    /// Waits for a camera that has gone, for as long as its driver is told, and prepares it from scratch. Injector and
+    /// clock stand meanwhile; the level then goes on with a new soak and the cycles that are missing.
+    async fn find_camera_again(&mut self, number: u32, level: &LevelPlan, lost: &DriverError) -> Step<()> {
+        self.instruments.trigger.make_safe().await?;
+        let act = format!("look for the camera again ({lost})");
+        self.note(Record::Intent { act: act.clone(), level: Some(number) })?;
+        self.progress.note(&format!("level {}: {lost} Looking for the camera again.", number + 1));
+        {
+            let stop = self.stop.clone();
+            let prepared = self.prepare_camera();
+            tokio::pin!(prepared);
+            loop {
+                tokio::select! {
+                    ended = &mut prepared => break ended?,
+                    () = sleep(WISH_POLL) => {
+                        let wish = stop.wish();
+                        if wish >= Wish::Pause {
+                            return Err(Interrupt::Wish(wish));
+                        }
+                    }
+                }
+            }
+        }
+        if level.shutter_reference {
+            // It may have been closed when the camera went.
+            self.instruments.camera.shutter(false).await.map_err(camera_trouble)?;
+        }
+        self.note(Record::Done { act, level: Some(number) })?;
         Ok(())
     }
 
@@ -304,11 +358,15 @@ impl Engine<'_> {
         self.instruments.trigger.make_safe().await?;
         let identity = self.instruments.plate.identify().await?;
         self.note(Record::Identity { instrument: "plate".to_owned(), identity })?;
-        let identity = self.instruments.camera.identify().await?;
+        let identity = self.instruments.camera.identify().await.map_err(camera_trouble)?;
         self.note(Record::Identity { instrument: "camera".to_owned(), identity })?;
         self.instruments.plate.prepare(&calibrator_settings(self.config)).await?;
+        self.prepare_camera().await
+    }
+
+    async fn prepare_camera(&mut self) -> Step<()> {
         let wanted = camera_settings(self.config);
-        let taken = self.instruments.camera.prepare(&wanted).await?;
+        let taken = self.instruments.camera.prepare(&wanted).await.map_err(camera_trouble)?;
         let same_time = (taken.integration_s / wanted.integration_s - 1.0).abs() < INTEGRATION_TOLERANCE;
         if (CameraSettings { integration_s: wanted.integration_s, ..taken.clone() }) != wanted || !same_time {
             return Err(Interrupt::Error(CampaignError::Driver(DriverError::Refused {
@@ -331,12 +389,14 @@ impl Engine<'_> {
         let mut settled = true;
         let mut resoaks = 0;
         if level.shutter_reference {
-            let shutter = self.instruments.camera.shutter(true).await?;
+            let shutter = self.instruments.camera.shutter(true).await.map_err(camera_trouble)?;
             let mut reference = Ok(true);
             while reference.is_ok() && self.recorder.reduced().levels[index].references == 0 {
                 reference = self.burst(number, &level.program, 1, shutter).await;
             }
-            self.instruments.camera.shutter(false).await?;
+            if !matches!(reference, Err(Interrupt::CameraLost(_))) {
+                self.instruments.camera.shutter(false).await.map_err(camera_trouble)?;
+            }
             reference?;
         }
         loop {
@@ -427,7 +487,7 @@ impl Engine<'_> {
         let shutter_k = shutter.map(|kelvin| kelvin.0);
         self.note(Record::Burst { level, program: program.clone(), first_cycle, shutter_k })?;
         self.note(Record::Intent { act: "start the trigger clock".to_owned(), level: Some(level) })?;
-        self.instruments.camera.start().await?;
+        self.instruments.camera.start().await.map_err(camera_trouble)?;
         let begun = Instant::now();
         if program.inject {
             self.last_injection = Some(begun);
@@ -438,10 +498,22 @@ impl Engine<'_> {
         // Even after trouble or a wish the clock must stand before anything else is commanded.
         let stopped = self.instruments.trigger.stop().await;
         let camera = self.instruments.camera.stop().await;
+        self.note_transport(level)?;
         let in_band = outcome?;
         stopped?;
-        camera?;
+        camera.map_err(camera_trouble)?;
         Ok(in_band)
+    }
+
+    /// What the camera's transport counted in the burst, where it counts.
+    fn note_transport(&mut self, level: u32) -> Step<()> {
+        let counted = self.instruments.camera.counters();
+        if counted.is_empty() {
+            return Ok(());
+        }
+        let counters = counted.into_iter().map(|(name, count)| (name.to_owned(), count)).collect();
+        self.note(Record::Transport { level, counters })?;
+        Ok(())
     }
 
     async fn collect_burst(
@@ -460,7 +532,11 @@ impl Engine<'_> {
             self.note(Record::Intent { act: format!("cycle {number}"), level: Some(level) })?;
             let collected = self
                 .collect_cycle(level, program, cycle, number, shutter, begun, &mut matcher, &mut carry)
-                .await?;
+                .await;
+            if let Err(Interrupt::CameraLost(error)) = &collected {
+                self.reject(level, number, format!("the camera is gone: {error}"))?;
+            }
+            let collected = collected?;
             if program.inject {
                 let spray = program.frame_ns(cycle, program.frames_per_cycle() - 1);
                 self.last_injection = Some((begun + Duration::from_nanos(spray)).max(Instant::now()));
@@ -488,6 +564,10 @@ impl Engine<'_> {
                 Collected::Rejected { reason, frames } => {
                     silent = if frames == 0 { silent + 1 } else { 0 };
                     self.reject(level, number, reason)?;
+                    if frames == 0 {
+                        // A camera that is gone is silent, too: a few seconds before it counts as gone.
+                        self.instruments.camera.check().await.map_err(camera_trouble)?;
+                    }
                     if silent >= SILENT_CYCLES_MAX || (silent > 0 && program.cycles == 1) {
                         let running = self.instruments.trigger.running().await?;
                         let state = if running { "running" } else { "stopped" };
@@ -633,7 +713,7 @@ impl Engine<'_> {
             match self.instruments.camera.frame(left.min(WISH_POLL)).await {
                 Ok(frame) => return Ok(Some(frame)),
                 Err(DriverError::Silent { .. }) => {}
-                Err(error) => return Err(error.into()),
+                Err(error) => return Err(camera_trouble(error)),
             }
         }
     }

@@ -53,7 +53,7 @@ pub fn run(args: Args) -> CommandResult {
 
 fn words(config: &Config, plan: &Plan, cost: &Cost, curve: Option<&Plan>) -> String {
     let mut out = format!("{}\n\n", config.campaign.name);
-    let rig = if config.rig.is_some() { "simulated" } else { "real" };
+    let rig = if config.is_simulated() { "simulated" } else { "real" };
     // Writing to a String cannot fail.
     let _ = writeln!(
         out,

@@ -3,6 +3,8 @@
 pub mod bench;
 pub mod calibrate;
 pub mod check;
+pub mod devices;
+pub mod doctor;
 pub mod fit;
 pub mod fuel;
 pub mod import;
@@ -18,6 +20,7 @@ use std::io::Write;
 use std::path::Path;
 pub mod mie;
 pub mod planck;
+pub mod probe;
 pub mod render;
 pub mod replay;
 pub mod run;

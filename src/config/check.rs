@@ -1,6 +1,7 @@
 //! Limits and impossible combinations of a campaign file. Pure.
 
-use super::{Config, Pace};
+use super::{Config, Pace, SIMULATED};
+use ditd_drivers::gige::GigeSettings;
 use ditd_sim::light::air::{AirPath, Atmosphere};
 use ditd_sim::light::band::Response;
 use ditd_sim::light::fuel::Fuel;
@@ -131,9 +132,7 @@ fn instruments(config: &Config, found: &mut Vec<Problem>) {
     require(found, config.trigger.driver == "quantum_9520", "trigger.driver", || {
         format!("unknown driver {:?}; there is: quantum_9520", config.trigger.driver)
     });
-    require(found, config.camera.driver == "sim", "camera.driver", || {
-        format!("unknown driver {:?}; there is: sim (the simulated camera)", config.camera.driver)
-    });
+    camera_driver(config, found);
     require(found, config.monitors.is_empty(), "monitor.driver", || {
         "no monitor drivers are built in yet: remove the [[monitor]] tables".to_owned()
     });
@@ -196,6 +195,31 @@ fn instruments(config: &Config, found: &mut Vec<Problem>) {
     require(found, c.read_noise_counts >= 0.0, "camera.read_noise_counts", || {
         "must not be negative".to_owned()
     });
+}
+
+/// The camera's driver, address and the settings of its own.
+fn camera_driver(config: &Config, found: &mut Vec<Problem>) {
+    let c = &config.camera;
+    require(found, ["sim", "gige"].contains(&c.driver.as_str()), "camera.driver", || {
+        format!(
+            "unknown driver {:?}; there are: sim (the simulated camera), gige (GenICam over GigE Vision)",
+            c.driver
+        )
+    });
+    require(found, (c.driver == "sim") == (c.address == SIMULATED), "camera.address", || {
+        if c.driver == "sim" {
+            format!("the simulated camera has the address \"sim\", found {:?}", c.address)
+        } else {
+            "a GigE camera has a network address, such as 192.168.1.20; \"sim\" belongs to the driver sim"
+                .to_owned()
+        }
+    });
+    require(found, c.gige.is_none() || c.driver == "gige", "camera.gige", || {
+        "[camera.gige] belongs to driver = \"gige\"".to_owned()
+    });
+    if let Some(Err((key, why))) = c.gige.as_ref().map(GigeSettings::check) {
+        found.push(Problem { key: format!("camera.gige.{key}"), message: why });
+    }
 }
 
 fn optics(config: &Config, found: &mut Vec<Problem>) {

@@ -10,9 +10,13 @@ mod diagnose;
 pub use check::Problem;
 pub use diagnose::ConfigError;
 
+use ditd_drivers::gige::GigeSettings;
 use ditd_sim::rig::config::RigConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+/// The address of an instrument that is simulated inside this program.
+pub const SIMULATED: &str = "sim";
 
 /// The newest campaign-file schema that this program reads.
 pub const SCHEMA: u32 = 1;
@@ -198,6 +202,10 @@ pub struct Camera {
     pub read_noise_counts: f64,
     /// Photoelectrons per count, for the shot noise of the fit.
     pub electrons_per_count: f64,
+    /// What only a GigE camera needs: preset, names of features, packets, buffers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<serde_json::Value>")]
+    pub gige: Option<GigeSettings>,
 }
 
 /// `[[monitor]]`
@@ -286,6 +294,14 @@ impl Config {
             Order::AsGiven => {}
         }
         levels
+    }
+
+    /// Whether every instrument is simulated inside this program. A rig that is simulated behind real lines
+    /// (`ditd sim serve`) is real to the one that runs it.
+    pub fn is_simulated(&self) -> bool {
+        [&self.plate.address, &self.trigger.address, &self.camera.address]
+            .iter()
+            .all(|address| *address == SIMULATED)
     }
 
     /// Emissivity above which pixels count in the true error of a simulated run (0.2 unless set).

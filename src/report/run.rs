@@ -42,7 +42,7 @@ pub struct Material<'a> {
 /// Puts the report together.
 pub fn of_run(material: &Material<'_>) -> Report {
     let Material { config, map, summary, .. } = material;
-    let rig = if config.rig.is_some() { "simulated rig" } else { "measured" };
+    let rig = if config.is_simulated() { "simulated rig" } else { "measured" };
     let mut blocks = vec![
         Block::Pictures(material.pictures.clone()),
         Block::Text(
