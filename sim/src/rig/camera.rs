@@ -113,6 +113,11 @@ impl SimCamera {
         Self { shared, frames, task: tokio::spawn(body.live(pulses)) }
     }
 
+    /// What the camera's own clock showed at the rig's start, in nanoseconds.
+    pub fn clock_zero_ns(&self) -> u64 {
+        device_zero_ns(self.shared.world.seed())
+    }
+
     /// What the world remembers now.
     pub fn state(&self) -> WorldState {
         *lock(&self.shared.state)

@@ -19,4 +19,14 @@ pub enum RigError {
         /// Which shapes, found and expected.
         why: String,
     },
+    /// simulated rig: `doing`: the network, or the camera to be put on it, refuses.
+    #[error("simulated rig: {doing}: {why}. {hint}")]
+    Network {
+        /// The act.
+        doing: String,
+        /// What the system or the camera said.
+        why: String,
+        /// What to try.
+        hint: String,
+    },
 }

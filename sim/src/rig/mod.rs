@@ -8,6 +8,7 @@ pub mod detector;
 mod error;
 pub mod fluctuation;
 pub mod fluke_418x;
+pub mod gige;
 pub mod level;
 pub mod line;
 pub mod noise;

@@ -1,0 +1,771 @@
+//! The camera's registers and what they mean: who may write, what a write does, what it is limited to.
+//!
+//! Pure: time is handed in, effects are handed out and carried out elsewhere. Bootstrap addresses are those of the
+//! GigE Vision standard as the public headers of Aravis 0.8.26 and Wireshark's dissector give them.
+
+use super::feature::{Access, Feature, Kind, double, word};
+use super::gvcp::Status;
+use super::gvsp::{IdMode, PayloadType};
+use super::image::{Chunks, Layout, Writing};
+use super::presets::{CHUNKS, MONO_14, Preset, SOURCE_SOFTWARE, SYNC_INTERNAL, SYNC_SOFTWARE, Sensor};
+use super::xml;
+use ditd_drivers::instrument::{CameraSettings, Identity};
+use std::collections::BTreeMap;
+use std::net::{Ipv4Addr, SocketAddrV4};
+
+/// Ticks of the camera's clock in a second: one is a nanosecond, as in the frames of the camera behind.
+const TICKS_PER_SECOND: u32 = 1_000_000_000;
+
+/// Bytes of the discovery answer: the memory from 0.
+pub(super) const DISCOVERY_BYTES: u16 = 0xF8;
+
+/// First byte of the description.
+const XML_BASE: u32 = 0x0010_0000;
+
+/// End of the readable bootstrap registers.
+const BOOTSTRAP_BYTES: u32 = 0x0E00;
+
+const VERSION: u32 = 0x0000;
+const MODE: u32 = 0x0004;
+const MAC_HIGH: u32 = 0x0008;
+const MAC_LOW: u32 = 0x000C;
+const IP_CAPABILITY: u32 = 0x0010;
+const IP_CONFIGURATION: u32 = 0x0014;
+const IP_ADDRESS: u32 = 0x0024;
+const IP_MASK: u32 = 0x0034;
+const MAKER: u32 = 0x0048;
+const MODEL: u32 = 0x0068;
+const DEVICE_VERSION: u32 = 0x0088;
+const MAKER_INFO: u32 = 0x00A8;
+const SERIAL: u32 = 0x00D8;
+const USER_NAME: u32 = 0x00E8;
+const USER_NAME_BYTES: u32 = 16;
+const XML_URL: u32 = 0x0200;
+const INTERFACES: u32 = 0x0600;
+const STREAM_CHANNELS: u32 = 0x0904;
+const GVSP_CAPABILITY: u32 = 0x092C;
+const GVCP_CAPABILITY: u32 = 0x0934;
+const HEARTBEAT_TIMEOUT: u32 = 0x0938;
+const TICKS_HIGH: u32 = 0x093C;
+const TICKS_LOW: u32 = 0x0940;
+const TIMESTAMP_CONTROL: u32 = 0x0944;
+const TIMESTAMP_HIGH: u32 = 0x0948;
+const TIMESTAMP_LOW: u32 = 0x094C;
+const GVCP_CONFIGURATION: u32 = 0x0954;
+const PENDING_TIMEOUT: u32 = 0x0958;
+const GVSP_CONFIGURATION: u32 = 0x0960;
+/// Control privilege.
+pub(super) const CONTROL: u32 = 0x0A00;
+const PRIMARY_PORT: u32 = 0x0A04;
+const PRIMARY_ADDRESS: u32 = 0x0A14;
+const STREAM_PORT: u32 = 0x0D00;
+const PACKET_SIZE: u32 = 0x0D04;
+const PACKET_DELAY: u32 = 0x0D08;
+const STREAM_ADDRESS: u32 = 0x0D18;
+const STREAM_SOURCE_PORT: u32 = 0x0D1C;
+
+/// Bits of the control privilege.
+const EXCLUSIVE: u32 = 1;
+const CONTROLLING: u32 = 2;
+
+const FIRE_TEST_PACKET: u32 = 1 << 31;
+const DO_NOT_FRAGMENT: u32 = 1 << 30;
+
+/// Packet sizes taken, in bytes, and their grain: the least that every IP host takes, and a jumbo frame.
+const PACKET_SIZES: [u32; 2] = [576, 9000];
+const PACKET_SIZE_GRAIN: u32 = 4;
+
+/// Shortest heartbeat timeout, in milliseconds (the standard's).
+const HEARTBEAT_MS_MIN: u32 = 500;
+
+/// Longest that an act takes, in milliseconds: what PENDING_ACK and its register say.
+pub(super) const PENDING_MS: u16 = 2000;
+
+/// 77 K and a warm laboratory, in degrees Celsius: the detector when cold and when just switched on.
+const COLD_C: f64 = -196.15;
+const WARM_C: f64 = 20.0;
+
+/// What makes frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Trigger {
+    /// The camera's own clock.
+    Free,
+    /// A signal on its input.
+    External,
+    /// A command.
+    Software,
+}
+
+/// What has to happen after a write.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Effect {
+    /// Prepare, start, stream.
+    Start,
+    /// Stop streaming.
+    Stop,
+    /// One software trigger.
+    Trigger,
+    /// Move the shutter.
+    Shutter(bool),
+    /// Non-uniformity correction.
+    Correct,
+    /// Restart.
+    Reset,
+    /// Control was given back.
+    Released,
+    /// Send a test packet of this size, in bytes.
+    TestPacket(usize),
+    /// Somebody has overwritten the factory gain.
+    Spoil,
+    /// The clock is put to 0.
+    ClockReset,
+}
+
+/// What a stream is made from: the registers when it was started.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Plan {
+    /// What the camera behind is told.
+    pub(super) settings: CameraSettings,
+    /// How an image is written.
+    pub(super) layout: Layout,
+    /// Who gets the stream; `None`: nobody.
+    pub(super) destination: Option<SocketAddrV4>,
+    /// Bytes of a packet.
+    pub(super) packet_bytes: usize,
+    /// Nanoseconds from packet to packet at least.
+    pub(super) packet_delay_ns: u64,
+    /// How blocks are numbered.
+    pub(super) ids: IdMode,
+    /// What makes frames.
+    pub(super) trigger: Trigger,
+    /// Frames per second when free.
+    pub(super) rate_hz: f64,
+    /// Frames after which the stream ends by itself.
+    pub(super) frames_max: Option<u64>,
+}
+
+/// Who the camera is and where.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Profile {
+    /// Make.
+    pub(super) preset: Preset,
+    /// Detector.
+    pub(super) sensor: Sensor,
+    /// Names.
+    pub(super) identity: Identity,
+    /// Address on the network.
+    pub(super) address: Ipv4Addr,
+    /// Port that the stream comes from.
+    pub(super) stream_port: u16,
+    /// Nanoseconds after switching on until cooler and sensor are ready.
+    pub(super) cool_down_ns: u64,
+    /// Features that start with another value than the make's: name and register value.
+    pub(super) initial: Vec<(String, f64)>,
+}
+
+/// The registers.
+#[derive(Debug)]
+pub(super) struct Device {
+    profile: Profile,
+    features: Vec<Feature>,
+    bootstrap: Vec<u8>,
+    memory: Vec<u8>,
+    description: Vec<u8>,
+    /// Values behind a selector: feature, selector value.
+    banks: BTreeMap<(usize, u32), Vec<u8>>,
+    controller: Option<SocketAddrV4>,
+    acquiring: bool,
+    armed: bool,
+    switched_on_ns: u64,
+}
+
+/// A register's bytes for a number; `None` when the feature does not take it.
+fn encoded(kind: &Kind, value: f64) -> Option<Vec<u8>> {
+    if let Kind::Float { .. } = kind {
+        return kind.accept(&value.to_be_bytes(), |_| 0).ok();
+    }
+    let whole = (0.0..=f64::from(u32::MAX)).contains(&value) && value.fract().abs() < f64::EPSILON;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "from 0 to 2^32 − 1, whole")]
+    let word = if whole { value as u32 } else { return None };
+    // Limits that depend on other registers cannot be checked here; such features are not presettable.
+    let free = !matches!(kind, Kind::Integer { max: super::feature::Bound::Feature(_), .. });
+    kind.accept(&word.to_be_bytes(), |_| 0).ok().filter(|_| free && *kind != Kind::Command)
+}
+
+impl Profile {
+    /// Whether the camera can be made.
+    ///
+    /// # Errors
+    /// Says what is impossible.
+    pub(super) fn check(&self) -> Result<(), String> {
+        let Sensor { rows, columns, bits, .. } = self.sensor;
+        let least_columns = if self.preset == Preset::Telops { 64 } else { 1 };
+        if !(1..=16384).contains(&rows) || !(least_columns..=16384).contains(&columns) {
+            return Err(format!("{rows} rows × {columns} columns: expected {least_columns} to 16384"));
+        }
+        let bits_max = if self.preset == Preset::Flir { 14 } else { 16 };
+        if !(1..=bits_max).contains(&bits) {
+            return Err(format!("bits = {bits}: expected 1 to {bits_max} for this make"));
+        }
+        let features = self.preset.features(self.sensor);
+        for (name, value) in &self.initial {
+            let Some(feature) = features.iter().find(|feature| feature.name == name) else {
+                return Err(format!("this make has no feature {name:?}"));
+            };
+            if encoded(&feature.kind, *value).is_none() {
+                return Err(format!("{name} cannot start with {value}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Device {
+    /// A camera just switched on, at `now_ns` of its clock. The profile has been checked.
+    pub(super) fn new(profile: Profile, now_ns: u64) -> Self {
+        let features = profile.preset.features(profile.sensor);
+        let identity = &profile.identity;
+        let mut description = xml::description(&identity.maker, &identity.model, &features).into_bytes();
+        // Clients read whole words.
+        description.resize(description.len().next_multiple_of(4), b'\n');
+        let last = features.last().expect("every make has features");
+        let memory = vec![0; (last.address + last.kind.bytes() - super::feature::FEATURES_BASE) as usize];
+        let mut device = Self {
+            features,
+            bootstrap: vec![0; BOOTSTRAP_BYTES as usize],
+            memory,
+            description,
+            banks: BTreeMap::new(),
+            controller: None,
+            acquiring: false,
+            armed: false,
+            switched_on_ns: now_ns,
+            profile,
+        };
+        device.power_on(now_ns);
+        device
+    }
+
+    /// All registers as after switching on, control with nobody. The user's name stays: it is kept in the camera.
+    pub(super) fn power_on(&mut self, now_ns: u64) {
+        let name = self.text(USER_NAME, USER_NAME_BYTES);
+        self.bootstrap.fill(0);
+        self.banks.clear();
+        (self.controller, self.acquiring, self.armed) = (None, false, false);
+        self.switched_on_ns = now_ns;
+        for index in 0..self.features.len() {
+            let initial = self.features[index].initial.clone();
+            self.store(index, &initial);
+        }
+        for (name, value) in self.profile.initial.clone() {
+            let index = self.index(&name);
+            let bytes = encoded(&self.features[index].kind, value).expect("checked when the camera was made");
+            self.store(index, &bytes);
+        }
+        self.bootstrap_defaults(&name);
+        self.refresh(now_ns);
+    }
+
+    fn bootstrap_defaults(&mut self, user_name: &[u8]) {
+        let identity = self.profile.identity.clone();
+        let [.., high, low] = self.profile.address.octets();
+        for (address, value) in [
+            // GigE Vision 2.0.
+            (VERSION, 0x0002_0000),
+            // Big-endian, UTF-8.
+            (MODE, 0x8000_0001),
+            // A locally administered MAC with the end of the address in it.
+            (MAC_HIGH, 0x0000_0200),
+            (MAC_LOW, 0x5D17_0000 | u32::from(high) << 8 | u32::from(low)),
+            (IP_CAPABILITY, 1),
+            (IP_CONFIGURATION, 1),
+            (IP_ADDRESS, self.profile.address.to_bits()),
+            (IP_MASK, 0xFF00_0000),
+            (INTERFACES, 1),
+            (STREAM_CHANNELS, 1),
+            // Stream source port register, 64-bit block ids.
+            (GVSP_CAPABILITY, 0xC000_0000),
+            // User name, serial number, heartbeat can be disabled; PENDING_ACK, resend, WRITEMEM, concatenation.
+            (GVCP_CAPABILITY, 0xE000_0027),
+            (HEARTBEAT_TIMEOUT, 3000),
+            (TICKS_HIGH, 0),
+            (TICKS_LOW, TICKS_PER_SECOND),
+            (PENDING_TIMEOUT, u32::from(PENDING_MS)),
+            (PACKET_SIZE, 1500 | DO_NOT_FRAGMENT),
+            (STREAM_SOURCE_PORT, u32::from(self.profile.stream_port)),
+        ] {
+            self.set_word(address, value);
+        }
+        let url = format!("Local:ditd_camera.xml;{XML_BASE:X};{:X}", self.description.len());
+        for (address, bytes, text) in [
+            (MAKER, 32, identity.maker.as_bytes()),
+            (MODEL, 32, identity.model.as_bytes()),
+            (DEVICE_VERSION, 32, identity.firmware.as_bytes()),
+            (MAKER_INFO, 48, b"simulated infrared camera".as_slice()),
+            (SERIAL, 16, identity.serial.as_bytes()),
+            (USER_NAME, USER_NAME_BYTES as usize, user_name),
+            (XML_URL, 512, url.as_bytes()),
+        ] {
+            // The last byte stays 0 but for the serial number, whose 16 characters all count.
+            let room = if address == SERIAL { bytes } else { bytes - 1 };
+            let start = address as usize;
+            let count = text.len().min(room);
+            self.bootstrap[start..start + count].copy_from_slice(&text[..count]);
+        }
+    }
+
+    /// Who has control.
+    pub(super) fn controller(&self) -> Option<SocketAddrV4> {
+        self.controller
+    }
+
+    /// Whether the stream runs.
+    pub(super) fn acquiring(&self) -> bool {
+        self.acquiring
+    }
+
+    /// Heartbeat timeout in milliseconds; `None` when it is disabled.
+    pub(super) fn heartbeat_ms(&self) -> Option<u32> {
+        (self.word(GVCP_CONFIGURATION) & 1 == 0).then(|| self.word(HEARTBEAT_TIMEOUT))
+    }
+
+    /// How blocks are numbered.
+    pub(super) fn ids(&self) -> IdMode {
+        let extended = self.word(GVSP_CONFIGURATION) & (1 << 30) != 0;
+        if extended { IdMode::Extended } else { IdMode::Standard }
+    }
+
+    /// Takes control from whoever has it: the stream's port is closed.
+    pub(super) fn release(&mut self) {
+        self.controller = None;
+        for address in [CONTROL, STREAM_PORT, PRIMARY_PORT, PRIMARY_ADDRESS] {
+            self.set_word(address, 0);
+        }
+    }
+
+    /// Notes that the stream has been started or has ended.
+    pub(super) fn set_acquiring(&mut self, acquiring: bool, now_ns: u64) {
+        self.acquiring = acquiring;
+        self.armed = acquiring;
+        self.refresh(now_ns);
+    }
+
+    /// Puts the integration time that the camera really took into its register.
+    pub(super) fn set_integration(&mut self, integration_s: f64) {
+        let (name, per_second) = self.profile.preset.exposure();
+        let index = self.index(name);
+        self.store(index, &(integration_s * per_second).to_be_bytes());
+    }
+
+    /// Notes the temperature of the closed shutter, in degrees Celsius.
+    pub(super) fn set_shutter(&mut self, closed: bool, celsius: Option<f64>) {
+        if let Some(index) = self.find(self.profile.preset.shutter()) {
+            self.store(index, &u32::from(closed).to_be_bytes());
+        }
+        if let (Some(index), Some(celsius)) = (self.find("ShutterTemperature"), celsius) {
+            self.store(index, &celsius.to_be_bytes());
+        }
+    }
+
+    /// Reads memory for a client.
+    ///
+    /// # Errors
+    /// Bad alignment, no such memory, or another client's exclusive control.
+    pub(super) fn read(
+        &mut self,
+        client: SocketAddrV4,
+        address: u32,
+        count: u32,
+        now_ns: u64,
+    ) -> Result<Vec<u8>, Status> {
+        if !address.is_multiple_of(4) || !count.is_multiple_of(4) {
+            return Err(Status::BadAlignment);
+        }
+        let exclusive = self.word(CONTROL) & EXCLUSIVE != 0;
+        if exclusive && self.controller.is_some_and(|owner| owner != client) {
+            return Err(Status::AccessDenied);
+        }
+        self.refresh(now_ns);
+        self.bytes(address, count).map(<[u8]>::to_vec).ok_or(Status::InvalidAddress)
+    }
+
+    /// The first bytes of memory, as DISCOVERY answers: to anybody.
+    pub(super) fn discovery(&self) -> &[u8] {
+        &self.bootstrap[..usize::from(DISCOVERY_BYTES)]
+    }
+
+    fn bytes(&self, address: u32, count: u32) -> Option<&[u8]> {
+        for (base, memory) in [
+            (0, &self.bootstrap),
+            (super::feature::FEATURES_BASE, &self.memory),
+            (XML_BASE, &self.description),
+        ] {
+            if let Some(start) = address.checked_sub(base)
+                && (start as usize) < memory.len()
+            {
+                let start = start as usize;
+                return memory.get(start..start.checked_add(count as usize)?);
+            }
+        }
+        None
+    }
+
+    /// Writes one register, or a stretch of one, for a client.
+    ///
+    /// # Errors
+    /// The status that the acknowledge carries; nothing was changed then.
+    pub(super) fn write(
+        &mut self,
+        client: SocketAddrV4,
+        address: u32,
+        bytes: &[u8],
+        now_ns: u64,
+    ) -> Result<Option<Effect>, Status> {
+        if !address.is_multiple_of(4) || !bytes.len().is_multiple_of(4) || bytes.is_empty() {
+            return Err(Status::BadAlignment);
+        }
+        if address == CONTROL && bytes.len() == 4 {
+            return self.take_control(client, word(bytes));
+        }
+        let count = u32::try_from(bytes.len()).map_err(|_| Status::InvalidParameter)?;
+        if self.bytes(address, count).is_none() {
+            return Err(Status::InvalidAddress);
+        }
+        if self.controller != Some(client) {
+            return Err(Status::AccessDenied);
+        }
+        let effect = if address < BOOTSTRAP_BYTES {
+            self.write_bootstrap(address, bytes, now_ns)
+        } else {
+            self.write_feature(address, bytes, now_ns)
+        }?;
+        self.refresh(now_ns);
+        Ok(effect)
+    }
+
+    fn take_control(&mut self, client: SocketAddrV4, wanted: u32) -> Result<Option<Effect>, Status> {
+        if self.controller.is_some_and(|owner| owner != client) {
+            return Err(Status::AccessDenied);
+        }
+        // Other bits (switch-over) are not served.
+        if wanted & !(EXCLUSIVE | CONTROLLING) != 0 {
+            return Err(Status::InvalidParameter);
+        }
+        if wanted == 0 {
+            let had = self.controller.is_some();
+            self.release();
+            return Ok(had.then_some(Effect::Released));
+        }
+        self.controller = Some(client);
+        self.set_word(CONTROL, wanted);
+        self.set_word(PRIMARY_PORT, u32::from(client.port()));
+        self.set_word(PRIMARY_ADDRESS, client.ip().to_bits());
+        Ok(None)
+    }
+
+    fn write_bootstrap(&mut self, address: u32, bytes: &[u8], now_ns: u64) -> Result<Option<Effect>, Status> {
+        if (USER_NAME..USER_NAME + USER_NAME_BYTES).contains(&address) {
+            let start = address as usize;
+            let end = start + bytes.len();
+            if end > (USER_NAME + USER_NAME_BYTES) as usize {
+                return Err(Status::WriteProtect);
+            }
+            self.bootstrap[start..end].copy_from_slice(bytes);
+            return Ok(None);
+        }
+        if bytes.len() != 4 {
+            // Registers are written one by one; what they do would depend on the order.
+            return Err(Status::InvalidParameter);
+        }
+        let value = word(bytes);
+        let in_use = |acquiring: bool| if acquiring { Err(Status::Busy) } else { Ok(()) };
+        match address {
+            HEARTBEAT_TIMEOUT => self.set_word(address, value.max(HEARTBEAT_MS_MIN)),
+            GVCP_CONFIGURATION => self.set_word(address, value & 1),
+            GVSP_CONFIGURATION => {
+                in_use(self.acquiring)?;
+                self.set_word(address, value & (1 << 30));
+            }
+            TIMESTAMP_CONTROL => return Ok(self.control_clock(value, now_ns)),
+            STREAM_PORT => {
+                self.set_word(address, value & 0xFFFF);
+                if value & 0xFFFF == 0 && self.acquiring {
+                    return Ok(Some(Effect::Stop));
+                }
+            }
+            STREAM_ADDRESS => self.set_word(address, value),
+            PACKET_DELAY => {
+                in_use(self.acquiring)?;
+                self.set_word(address, value);
+            }
+            PACKET_SIZE => {
+                in_use(self.acquiring)?;
+                let [least, most] = PACKET_SIZES;
+                let size = (value & 0xFFFF).clamp(least, most) / PACKET_SIZE_GRAIN * PACKET_SIZE_GRAIN;
+                self.set_word(address, size | value & DO_NOT_FRAGMENT);
+                if value & FIRE_TEST_PACKET != 0 {
+                    return Ok(Some(Effect::TestPacket(size as usize)));
+                }
+            }
+            _ => return Err(Status::WriteProtect),
+        }
+        Ok(None)
+    }
+
+    fn control_clock(&mut self, value: u32, now_ns: u64) -> Option<Effect> {
+        // Bit 0 resets, bit 1 latches.
+        if value & 1 != 0 {
+            self.switched_on_ns = self.switched_on_ns.wrapping_sub(now_ns);
+        }
+        let now_ns = if value & 1 != 0 { 0 } else { now_ns };
+        if value & 2 != 0 {
+            let [h, i, j, k, l, m, n, o] = now_ns.to_be_bytes();
+            self.set_word(TIMESTAMP_HIGH, u32::from_be_bytes([h, i, j, k]));
+            self.set_word(TIMESTAMP_LOW, u32::from_be_bytes([l, m, n, o]));
+        }
+        (value & 1 != 0).then_some(Effect::ClockReset)
+    }
+
+    fn write_feature(&mut self, address: u32, bytes: &[u8], now_ns: u64) -> Result<Option<Effect>, Status> {
+        let end = address as usize + bytes.len();
+        let fits = |f: &Feature| address >= f.address && end <= (f.address + f.kind.bytes()) as usize;
+        let index = self.features.iter().position(fits).ok_or(Status::WriteProtect)?;
+        let feature = &self.features[index];
+        match feature.access {
+            Access::ReadOnly => return Err(Status::WriteProtect),
+            Access::Locked if self.acquiring => return Err(Status::Busy),
+            _ => {}
+        }
+        let mut whole = self.value(index).to_vec();
+        let start = (address - feature.address) as usize;
+        whole[start..start + bytes.len()].copy_from_slice(bytes);
+        let accepted = feature.kind.accept(&whole, |name| i64::from(self.integer(name)))?;
+        let (name, command) = (feature.name, feature.kind == Kind::Command);
+        if command {
+            return self.act(name, now_ns);
+        }
+        if name == self.profile.preset.shutter() {
+            return Ok(Some(Effect::Shutter(word(&accepted) == 1)));
+        }
+        self.store(index, &accepted);
+        Ok(None)
+    }
+
+    fn act(&mut self, name: &str, now_ns: u64) -> Result<Option<Effect>, Status> {
+        Ok(Some(match name {
+            "AcquisitionStart" if self.acquiring => return Ok(None),
+            "AcquisitionStart" if !self.ready(now_ns) => return Err(Status::Busy),
+            "AcquisitionStart" => Effect::Start,
+            "AcquisitionStop" => Effect::Stop,
+            "AcquisitionArm" => {
+                if !self.ready(now_ns) {
+                    return Err(Status::Busy);
+                }
+                self.armed = true;
+                return Ok(None);
+            }
+            "TriggerSoftware" | "SyncSoftware" => Effect::Trigger,
+            "NUCExecute" | "ImageCorrection" => Effect::Correct,
+            "CorrectionPerform" => Effect::Spoil,
+            "DeviceReset" => Effect::Reset,
+            other => unreachable!("the table has the command {other}, and nothing is written for it"),
+        }))
+    }
+
+    fn ready(&self, now_ns: u64) -> bool {
+        now_ns.wrapping_sub(self.switched_on_ns) >= self.profile.cool_down_ns
+    }
+
+    /// Brings up to date what follows from other registers and from time.
+    fn refresh(&mut self, now_ns: u64) {
+        let sensor = self.profile.sensor;
+        let rows_max = sensor.rows + self.profile.preset.header_rows();
+        let [width, height, x, y] = ["Width", "Height", "OffsetX", "OffsetY"].map(|name| self.integer(name));
+        let payload = width * height * 2 + self.chunks().map_or(0, |chunks| chunks.bytes());
+        for (name, value) in [
+            ("WidthRoom", sensor.columns - x),
+            ("HeightRoom", rows_max - y),
+            ("OffsetXRoom", sensor.columns - width),
+            ("OffsetYRoom", rows_max - height),
+            ("PayloadSize", payload),
+            ("AcquisitionLock", u32::from(self.acquiring)),
+        ] {
+            let index = self.index(name);
+            self.store(index, &value.to_be_bytes());
+        }
+        let ready = self.ready(now_ns);
+        let index = self.index("DeviceTemperature");
+        let part = if ready {
+            1.0
+        } else {
+            now_ns.wrapping_sub(self.switched_on_ns) as f64 / self.profile.cool_down_ns as f64
+        };
+        self.store(index, &(WARM_C + part * (COLD_C - WARM_C)).to_be_bytes());
+        if let Some(index) = self.find("TDCStatus") {
+            let waiting = u32::from(!ready) * 0b11;
+            let arm = u32::from(!self.armed && !self.acquiring) << 8;
+            let started = u32::from(self.acquiring) << 10;
+            self.store(index, &(waiting | arm | started).to_be_bytes());
+            let index = self.index("DeviceNotReady");
+            self.store(index, &u32::from(!ready).to_be_bytes());
+        }
+    }
+
+    /// Which chunks follow an image; `None` without chunk mode.
+    fn chunks(&self) -> Option<Chunks> {
+        self.find("ChunkModeActive").filter(|&index| word(self.value(index)) == 1)?;
+        let enable = self.index("ChunkEnable");
+        let enabled = |number: u32| word(self.banked(enable, number)) == 1;
+        let mut chunks = Chunks { enabled: [false; CHUNKS.len()] };
+        for (number, on) in (0..).zip(&mut chunks.enabled) {
+            *on = enabled(number);
+        }
+        Some(chunks)
+    }
+
+    /// What makes frames.
+    pub(super) fn trigger(&self) -> Trigger {
+        if self.profile.preset == Preset::Flir {
+            return match self.integer("SyncSource") {
+                SYNC_INTERNAL => Trigger::Free,
+                SYNC_SOFTWARE => Trigger::Software,
+                _ => Trigger::External,
+            };
+        }
+        let selector = self.profile.preset.frame_selector();
+        let of = |name: &str| word(self.banked(self.index(name), selector));
+        match (of("TriggerMode"), of("TriggerSource")) {
+            (0, _) => Trigger::Free,
+            (_, SOURCE_SOFTWARE) => Trigger::Software,
+            _ => Trigger::External,
+        }
+    }
+
+    /// What a stream started now would be.
+    pub(super) fn plan(&self) -> Plan {
+        let Profile { preset, sensor, .. } = self.profile;
+        let header_rows = preset.header_rows();
+        let (exposure, per_second) = preset.exposure();
+        let integration_s = self.float(exposure) / per_second;
+        let pixel_format = self.integer("PixelFormat");
+        let writing = match (preset, self.find("IRFormat").map_or(0, |index| word(self.value(index)))) {
+            (Preset::Flir, 1) => Writing::TemperatureLinear { per_kelvin: 10 },
+            (Preset::Flir, 2) => Writing::TemperatureLinear { per_kelvin: 100 },
+            (Preset::Flir, _) if pixel_format != MONO_14 => Writing::Shifted(2),
+            _ => Writing::Counts,
+        };
+        let chunks = self.chunks();
+        let port = u16::try_from(self.word(STREAM_PORT) & 0xFFFF).unwrap_or(0);
+        let address = Ipv4Addr::from_bits(self.word(STREAM_ADDRESS));
+        let destination = (port != 0 && !address.is_unspecified()).then(|| SocketAddrV4::new(address, port));
+        let calibration_mode = self.find("CalibrationMode").map_or(0, |index| word(self.value(index)));
+        Plan {
+            settings: CameraSettings {
+                rows: sensor.rows as usize,
+                columns: sensor.columns as usize,
+                integration_s,
+                bits: sensor.bits,
+            },
+            layout: Layout {
+                sensor,
+                width: self.integer("Width"),
+                rows: self.integer("Height") - header_rows,
+                offset_x: self.integer("OffsetX"),
+                offset_y: self.integer("OffsetY"),
+                header_rows,
+                pixel_format,
+                writing,
+                chunks,
+                integration_s,
+                rate_hz: self.float(preset.rate()),
+                calibration_mode,
+                payload_type: if chunks.is_some() {
+                    PayloadType::ImageWithChunks
+                } else {
+                    PayloadType::Image
+                },
+            },
+            destination,
+            packet_bytes: (self.word(PACKET_SIZE) & 0xFFFF) as usize,
+            packet_delay_ns: u64::from(self.word(PACKET_DELAY)),
+            ids: self.ids(),
+            trigger: self.trigger(),
+            rate_hz: self.float(preset.rate()),
+            frames_max: match self.integer("AcquisitionMode") {
+                1 => Some(1),
+                2 => Some(u64::from(self.integer("AcquisitionFrameCount"))),
+                _ => None,
+            },
+        }
+    }
+
+    /// Address of a feature's register, which a client reads from the description.
+    #[cfg(test)]
+    pub(super) fn address_of(&self, name: &str) -> Option<u32> {
+        self.find(name).map(|index| self.features[index].address)
+    }
+
+    fn find(&self, name: &str) -> Option<usize> {
+        self.features.iter().position(|feature| feature.name == name)
+    }
+
+    fn index(&self, name: &str) -> usize {
+        self.find(name).unwrap_or_else(|| panic!("the table of every make has {name}"))
+    }
+
+    fn integer(&self, name: &str) -> u32 {
+        word(self.value(self.index(name)))
+    }
+
+    fn float(&self, name: &str) -> f64 {
+        double(self.value(self.index(name)))
+    }
+
+    fn span(&self, index: usize) -> std::ops::Range<usize> {
+        let feature = &self.features[index];
+        let start = (feature.address - super::feature::FEATURES_BASE) as usize;
+        start..start + feature.kind.bytes() as usize
+    }
+
+    fn value(&self, index: usize) -> &[u8] {
+        &self.memory[self.span(index)]
+    }
+
+    /// The value of a selected feature for one value of its selector.
+    fn banked(&self, index: usize, selector: u32) -> &[u8] {
+        self.banks.get(&(index, selector)).map_or(&self.features[index].initial, |bytes| bytes)
+    }
+
+    /// Stores a feature's value; a selected feature's also behind its selector, and a selector brings the values
+    /// behind it to the front.
+    fn store(&mut self, index: usize, bytes: &[u8]) {
+        let span = self.span(index);
+        self.memory[span].copy_from_slice(bytes);
+        if let Some(selector) = self.features[index].selector {
+            let selected = self.integer(selector);
+            self.banks.insert((index, selected), bytes.to_vec());
+        }
+        let name = self.features[index].name;
+        for other in 0..self.features.len() {
+            if self.features[other].selector == Some(name) {
+                let front = self.banked(other, word(bytes)).to_vec();
+                let span = self.span(other);
+                self.memory[span].copy_from_slice(&front);
+            }
+        }
+    }
+
+    fn word(&self, address: u32) -> u32 {
+        word(&self.bootstrap[address as usize..])
+    }
+
+    fn set_word(&mut self, address: u32, value: u32) {
+        let start = address as usize;
+        self.bootstrap[start..start + 4].copy_from_slice(&value.to_be_bytes());
+    }
+
+    fn text(&self, address: u32, bytes: u32) -> Vec<u8> {
+        let field = &self.bootstrap[address as usize..(address + bytes) as usize];
+        field.iter().copied().take_while(|&byte| byte != 0).collect()
+    }
+}
