@@ -46,6 +46,8 @@ enum Command {
     Doctor(commands::doctor::Args),
     /// Print every feature of a GenICam camera
     Probe(commands::probe::Args),
+    /// Simulate instruments on real lines
+    Sim(commands::sim::Args),
     /// Measure the speed and the accuracy of this machine's computations
     Bench(commands::bench::Args),
     /// Print the JSON schema of the campaign file
@@ -76,6 +78,7 @@ fn main() -> ExitCode {
         Command::Devices(args) => commands::devices::run(args),
         Command::Doctor(args) => commands::doctor::run(args, &clock),
         Command::Probe(args) => commands::probe::run(args),
+        Command::Sim(args) => commands::sim::run(args, &clock),
         Command::Bench(args) => commands::bench::run(&args, &clock),
         Command::Schema => commands::schema::run(),
         Command::Completions { shell } => {

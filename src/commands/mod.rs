@@ -26,6 +26,7 @@ pub mod replay;
 pub mod run;
 pub mod resume;
 pub mod safe;
+pub mod sim;
 
 /// Why a command ended without success, with the exit status of the contract: 1 failure, 2 usage or config,
 /// 3 device missing, 4 interlock or limit, 5 data integrity, 6 paused, 130 interrupted after a safe state.

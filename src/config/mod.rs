@@ -304,6 +304,21 @@ impl Config {
             .all(|address| *address == SIMULATED)
     }
 
+    /// The same campaign with every instrument simulated inside this program, in virtual time.
+    #[must_use]
+    pub fn simulated_inside(&self) -> Self {
+        let mut inside = self.clone();
+        for address in
+            [&mut inside.plate.address, &mut inside.trigger.address, &mut inside.camera.address]
+        {
+            SIMULATED.clone_into(address);
+        }
+        SIMULATED.clone_into(&mut inside.camera.driver);
+        inside.camera.gige = None;
+        inside.campaign.pace = Pace::Max;
+        inside
+    }
+
     /// Emissivity above which pixels count in the true error of a simulated run (0.2 unless set).
     pub fn emissivity_min(&self) -> f64 {
         self.target.as_ref().map_or(0.2, |target| target.emissivity_min)

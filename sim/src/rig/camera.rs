@@ -363,8 +363,8 @@ async fn counts_of(world: Arc<World>, moment: Moment) -> Vec<u16> {
     }
 }
 
-/// Zero of the camera's clock: up to 1000 s before the rig's start.
-fn device_zero_ns(seed: u64) -> u64 {
+/// What the camera's clock shows at the rig's start, in nanoseconds: up to 1000 s.
+pub fn device_zero_ns(seed: u64) -> u64 {
     Stream::new(seed, Purpose::Clock, 0).bits(0) % 1_000_000_000_000
 }
 

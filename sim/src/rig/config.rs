@@ -7,6 +7,7 @@
 
 use super::RigError;
 use super::fluke_418x::FlukeBehaviour;
+use super::gige::{GigeFault, Preset};
 use super::plate::PlateModel;
 use super::quantum_9520::QuantumBehaviour;
 use serde::{Deserialize, Serialize};
@@ -45,6 +46,33 @@ pub struct RigConfig {
     /// The trigger unit's side of its line; well behaved when absent.
     #[serde(default = "QuantumBehaviour::delivered")]
     pub pulser: QuantumBehaviour,
+    /// The camera's side of the network, where it is served as a GigE Vision device; a generic one when absent.
+    #[serde(default)]
+    pub gige: GigeBehaviour,
+}
+
+/// The camera as a GigE Vision device.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GigeBehaviour {
+    /// Whose names and habits it has.
+    #[serde(default = "GigeBehaviour::by_the_book")]
+    pub preset: Preset,
+    /// What goes wrong on the network; nothing when absent.
+    #[serde(default, rename = "fault")]
+    pub faults: Vec<GigeFault>,
+}
+
+impl GigeBehaviour {
+    fn by_the_book() -> Preset {
+        Preset::Generic
+    }
+}
+
+impl Default for GigeBehaviour {
+    fn default() -> Self {
+        Self { preset: Self::by_the_book(), faults: Vec::new() }
+    }
 }
 
 /// The spray and how it is rendered.

@@ -44,6 +44,10 @@ pub struct PlateModel {
     pub display_error_per_k: f64,
     /// Noise of one display reading, standard deviation in kelvin.
     pub display_noise_k: f64,
+    /// How many seconds of the plate pass in one of the rig: above 1 for rigs that run in real time and cannot wait for
+    /// a real plate. Times of its faults are the plate's.
+    #[serde(default = "PlateModel::real_time")]
+    pub time_factor: f64,
     /// How block, surface and controller move; a 4181 when absent.
     #[serde(default = "PlateDynamics::fluke_4181")]
     pub dynamics: PlateDynamics,
@@ -237,7 +241,7 @@ impl Plate {
 
     /// Goes on to a moment of the rig's clock; an earlier one changes nothing.
     pub fn advance(&mut self, now_s: f64) {
-        self.now_s = self.now_s.max(now_s + self.offset_s);
+        self.now_s = self.now_s.max(now_s * self.model.time_factor + self.offset_s);
         while self.next_step_s() <= self.now_s {
             self.step();
         }
@@ -245,7 +249,7 @@ impl Plate {
 
     /// Declares that this state is what the plate is at `now_s` of a new clock, for a run that is taken up again.
     pub fn rebase(&mut self, now_s: f64) {
-        self.offset_s = self.now_s - now_s;
+        self.offset_s = self.now_s - now_s * self.model.time_factor;
     }
 
     /// True temperature of the surface, in kelvin: what a camera sees.
@@ -449,6 +453,10 @@ impl Plate {
 }
 
 impl PlateModel {
+    fn real_time() -> f64 {
+        1.0
+    }
+
     /// Whether the plate can be played.
     ///
     /// # Errors
@@ -482,6 +490,7 @@ impl PlateModel {
             1e-3,
             &[
                 ("ambient_k", self.ambient_k),
+                ("time_factor", self.time_factor),
                 ("heater_k_per_s", d.heater_k_per_s),
                 ("rate_max_k_per_s", d.rate_max_k_per_s),
                 ("band_k", d.band_k),
@@ -526,6 +535,7 @@ impl PlateModel {
             display_error_k: 0.0,
             display_error_per_k: 0.0,
             display_noise_k: 0.005,
+            time_factor: Self::real_time(),
             dynamics: PlateDynamics::fluke_4181(),
             faults: Vec::new(),
         }
