@@ -9,9 +9,11 @@ pub mod instrument;
 mod keyword;
 pub mod quantity;
 pub mod quantum_9520;
+pub mod trigger_limits;
 pub mod wire;
 
 use instrument::{Calibrator, TriggerUnit};
+use trigger_limits::{TriggerLimits, UnitRange};
 use wire::{Wire, WireSettings};
 
 /// A model of calibrator that a configuration can name.
@@ -30,8 +32,10 @@ pub struct TriggerModel {
     pub name: &'static str,
     /// The line settings at delivery.
     pub wire_settings: fn() -> WireSettings,
+    /// What it can time and count.
+    pub range: UnitRange,
     /// Makes the driver over an open wire, with the limits of the rig. Sends nothing.
-    pub drive: fn(Wire, quantum_9520::TriggerLimits) -> Box<dyn TriggerUnit>,
+    pub drive: fn(Wire, TriggerLimits) -> Box<dyn TriggerUnit>,
 }
 
 /// All calibrators.
@@ -45,5 +49,6 @@ pub const CALIBRATORS: &[CalibratorModel] = &[CalibratorModel {
 pub const TRIGGER_UNITS: &[TriggerModel] = &[TriggerModel {
     name: "quantum_9520",
     wire_settings: quantum_9520::wire_settings,
+    range: quantum_9520::RANGE,
     drive: |wire, limits| Box::new(quantum_9520::Quantum9520::new(wire, limits)),
 }];

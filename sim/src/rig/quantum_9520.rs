@@ -735,7 +735,8 @@ mod tests {
     use super::*;
     use ditd_drivers::error::DriverError;
     use ditd_drivers::instrument::{ShotKind, ShotProgram, TriggerUnit};
-    use ditd_drivers::quantum_9520::{Quantum9520, TriggerLimits};
+    use ditd_drivers::quantum_9520::Quantum9520;
+use ditd_drivers::trigger_limits::TriggerLimits;
     use ditd_drivers::wire::Wire;
     use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
     use tokio::time::{sleep, timeout};
