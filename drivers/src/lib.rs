@@ -3,6 +3,7 @@
 //! Wires, codecs and drivers, and the traits that a campaign commands. Knows no physics: what a plate or a
 //! detector does lies in `ditd-sim`, what the numbers mean in `ditd`.
 
+pub mod dg645;
 pub mod error;
 pub mod fluke_418x;
 pub mod instrument;
@@ -46,9 +47,17 @@ pub const CALIBRATORS: &[CalibratorModel] = &[CalibratorModel {
 }];
 
 /// All trigger units.
-pub const TRIGGER_UNITS: &[TriggerModel] = &[TriggerModel {
-    name: "quantum_9520",
-    wire_settings: quantum_9520::wire_settings,
-    range: quantum_9520::RANGE,
-    drive: |wire, limits| Box::new(quantum_9520::Quantum9520::new(wire, limits)),
-}];
+pub const TRIGGER_UNITS: &[TriggerModel] = &[
+    TriggerModel {
+        name: "quantum_9520",
+        wire_settings: quantum_9520::wire_settings,
+        range: quantum_9520::RANGE,
+        drive: |wire, limits| Box::new(quantum_9520::Quantum9520::new(wire, limits)),
+    },
+    TriggerModel {
+        name: "dg645",
+        wire_settings: dg645::wire_settings,
+        range: dg645::RANGE,
+        drive: |wire, limits| Box::new(dg645::Dg645::new(wire, limits)),
+    },
+];
