@@ -4,18 +4,18 @@ use crate::campaign::Instruments;
 use crate::config::{Config, Pace};
 use crate::reduce::Reduced;
 use crate::truth::WorldTruth;
+use ditd_drivers::TRIGGER_UNITS;
 use ditd_drivers::error::DriverError;
 use ditd_drivers::fluke_418x::Fluke418x;
 use ditd_drivers::instrument::{Calibrator, Camera, TriggerUnit};
-use ditd_drivers::quantum_9520::Quantum9520;
-use ditd_drivers::trigger_limits::TriggerLimits;
 use ditd_drivers::wire::{Wire, WireSettings};
 use ditd_sim::rig::build::{self, BuildError};
 use ditd_sim::rig::camera::{SimCamera, WorldState};
 use ditd_sim::rig::chamber::World;
+use ditd_sim::rig::fluke_418x as fluke_sim;
 use ditd_sim::rig::plate::Plate;
+use ditd_sim::rig::pulser;
 use ditd_sim::rig::truth::{Sampling, Truth};
-use ditd_sim::rig::{fluke_418x as fluke_sim, quantum_9520 as quantum_sim};
 use ditd_sim::scene::library::OwnFile;
 use std::collections::HashMap;
 use std::io::Write;
@@ -188,9 +188,7 @@ impl Prepared {
         match others {
             Ok((plate, camera)) => {
                 let camera = Box::new(camera);
-                Ok(Opened {
-                    instruments: Instruments { plate: Box::new(plate), trigger: Box::new(trigger), camera },
-                })
+                Ok(Opened { instruments: Instruments { plate: Box::new(plate), trigger, camera } })
             }
             Err(error) => {
                 let _ = trigger.make_safe().await;
@@ -232,24 +230,22 @@ impl Prepared {
         &self,
         pulses: mpsc::Sender<ditd_sim::rig::pulse::Pulse>,
         start: tokio::time::Instant,
-    ) -> Result<Quantum9520, OpenError> {
+    ) -> Result<Box<dyn TriggerUnit>, OpenError> {
         let config = &self.config;
+        let driver = config.trigger.driver.as_str();
+        let unknown = || OpenError::Config(format!("trigger.driver: there is no driver {driver:?}"));
+        let model = TRIGGER_UNITS.iter().find(|model| model.name == driver).ok_or_else(unknown)?;
         let wire = if config.trigger.address == "sim" {
             let rig = config.rig.as_ref().ok_or_else(no_world)?;
+            let unit = pulser::model(driver).ok_or_else(unknown)?;
             let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
-            tokio::spawn(quantum_sim::serve(theirs, pulses, rig.pulser.clone(), start));
+            tokio::spawn(pulser::serve(unit, theirs, pulses, rig.pulser.clone(), start));
             Wire::over(ours, "trigger unit at sim")
         } else {
-            let settings = line_settings(config.trigger.baud, ditd_drivers::quantum_9520::wire_settings());
+            let settings = line_settings(config.trigger.baud, (model.wire_settings)());
             Wire::open(&config.trigger.address, "trigger unit", &settings).await?
         };
-        let limits = TriggerLimits {
-            injector_pulse_max_s: config.trigger.injection_limit_s,
-            injection_interval_min_s: config.trigger.injection_interval_limit_s,
-            camera_integration_s: config.camera.integration_s,
-            camera_readout_s: config.camera.readout_s,
-        };
-        Ok(Quantum9520::new(wire, limits))
+        Ok((model.drive)(wire, config.trigger_limits()))
     }
 
     async fn open_plate(

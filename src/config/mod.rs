@@ -10,6 +10,7 @@ mod diagnose;
 pub use check::Problem;
 pub use diagnose::ConfigError;
 
+use ditd_drivers::trigger_limits::TriggerLimits;
 use ditd_sim::rig::config::RigConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -158,7 +159,7 @@ pub struct Plate {
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Trigger {
-    /// Driver: the name of its file (`quantum_9520`).
+    /// Driver: the name of its file (`quantum_9520`, `dg645`).
     pub driver: String,
     /// `sim`, `serial:/dev/…` or `tcp:host:port`.
     pub address: String,
@@ -172,6 +173,10 @@ pub struct Trigger {
     pub injection_limit_s: f64,
     /// Shortest time between two injections that the chamber allows, in s.
     pub injection_interval_limit_s: f64,
+    /// A real `dg645`: somebody has seen on an oscilloscope that the injector's output fires with the last frame of a cycle
+    /// (docs/INSTRUMENTS.md, Trigger units); absent: no.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub prescaler_checked: bool,
 }
 
 /// `[camera]`
@@ -286,6 +291,26 @@ impl Config {
             Order::AsGiven => {}
         }
         levels
+    }
+
+    /// What the rig allows of a program of shots.
+    pub fn trigger_limits(&self) -> TriggerLimits {
+        TriggerLimits {
+            injector_pulse_max_s: self.trigger.injection_limit_s,
+            injection_interval_min_s: self.trigger.injection_interval_limit_s,
+            camera_integration_s: self.camera.integration_s,
+            camera_readout_s: self.camera.readout_s,
+        }
+    }
+
+    /// What the rig allows of a program of shots.
+    pub fn trigger_limits(&self) -> TriggerLimits {
+        TriggerLimits {
+            injector_pulse_max_s: self.trigger.injection_limit_s,
+            injection_interval_min_s: self.trigger.injection_interval_limit_s,
+            camera_integration_s: self.camera.integration_s,
+            camera_readout_s: self.camera.readout_s,
+        }
     }
 
     /// Emissivity above which pixels count in the true error of a simulated run (0.2 unless set).

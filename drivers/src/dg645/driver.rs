@@ -27,6 +27,10 @@ const EXCHANGE_TRIES: u32 = 3;
 /// Codes that are read from the error queue at most: more are a queue that never empties.
 const ERRORS_MAX: u32 = 32;
 
+/// How long before a cycle is due the unit is asked whether it may begin: three questions of some 50 ms, and one of them
+/// may be answered late and cost a second and the search for the thread.
+const PREPARATION: Duration = Duration::from_secs(3);
+
 /// How often a stop asks whether the burst is over.
 const BUSY_POLL: Duration = Duration::from_millis(50);
 
@@ -128,6 +132,17 @@ impl Dg645 {
         Err(self.refused(doing, format!("its error queue does not get empty: {}", found.join(", "))))
     }
 
+    /// A burst begins now, or may begin.
+    fn note_fired(&mut self, program: &ShotProgram) -> Instant {
+        let now = Instant::now();
+        if program.inject {
+            self.last_injection.note(now + injection_after(program));
+        }
+        let frames = u64::from(program.frames_per_cycle());
+        self.busy_until = Some(now + Duration::from_nanos(program.period_ns * frames));
+        now
+    }
+
     /// What an earlier user left in the queue is none of our business.
     async fn forget_errors(&mut self, doing: &str) -> Result<(), DriverError> {
         match self.check_errors(doing).await {
@@ -205,10 +220,10 @@ impl Dg645 {
     }
 
     async fn set_patiently(&mut self, setting: &Setting, doing: &str) -> Result<(), DriverError> {
-        // The line may have swallowed the command: told twice it is the same.
+        // Told twice it is the same: the line may have swallowed it, or have been lost and be back.
         match self.set(setting, doing).await {
-            Err(DriverError::Refused { .. }) => self.set(setting, doing).await,
-            result => result,
+            Ok(()) => Ok(()),
+            Err(_) => self.set(setting, doing).await,
         }
     }
 
@@ -322,10 +337,15 @@ impl TriggerUnit for Dg645 {
                 return Err(self.refused(doing, format!("cycle {cycle} is not the next one of the program")));
             }
         };
-        self.check_power(doing).await?;
-        if self.is_busy(doing).await? {
-            return Err(self.refused(doing, "the last cycle's burst is not over".to_owned()));
+        let mut due = due;
+        if program.inject
+            && let Some(allowed) = self.last_injection.next_allowed(&self.limits)
+        {
+            due = due.max(allowed.checked_sub(injection_after(&program)).unwrap_or(allowed));
         }
+        sleep_until(due.checked_sub(PREPARATION).unwrap_or(due)).await;
+        self.check_power(doing).await?;
+        self.await_rest(doing).await?;
         // Emptied, so that what it says after the trigger is about this trigger.
         let before = match self.query_once(Key::InstrumentStatus, 0, doing).await {
             Ok(Value::Count(bits)) => bits,
@@ -336,23 +356,14 @@ impl TriggerUnit for Dg645 {
                        the period";
             return Err(self.refused(doing, why.to_owned()));
         }
-        let mut due = due;
-        if program.inject
-            && let Some(allowed) = self.last_injection.next_allowed(&self.limits)
-        {
-            let earliest = allowed.checked_sub(injection_after(&program)).unwrap_or(allowed);
-            due = due.max(earliest);
-        }
         sleep_until(due).await;
-        let fired = Instant::now();
-        if program.inject {
-            self.last_injection.note(fired + injection_after(&program));
-        }
-        let length = Duration::from_nanos(program.period_ns * u64::from(program.frames_per_cycle()));
-        self.busy_until = Some(fired + length);
         self.next_cycle = Some(cycle + 1);
+        self.note_fired(&program);
         // Sent once: repeated it might be a second burst.
-        self.tell(&Command::act(Key::Trigger), doing).await?;
+        let told = self.tell(&Command::act(Key::Trigger), doing).await;
+        // The line may have kept its pace first: the burst begins when the command has gone.
+        let fired = self.note_fired(&program);
+        told?;
         match self.query_once(Key::InstrumentStatus, 0, doing).await {
             Ok(Value::Count(bits)) if bits & instrument_status::TRIGGER != 0 => Ok(fired),
             Ok(Value::Count(bits)) if bits & instrument_status::INHIBITED != 0 => {

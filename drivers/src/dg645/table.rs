@@ -162,6 +162,7 @@ pub fn delivered() -> Vec<(Key, u32, Value)> {
         settings.push((Key::Offset, output, Value::Real(0.0)));
         settings.push((Key::Polarity, output, Value::Count(1)));
     }
+    settings.extend((2..=9).map(|channel| (Key::Link, channel, Value::Count(0))));
     for channel in [2, 4, 6, 8] {
         settings.push((Key::Delay, channel, Value::Delay { after: 0, ps: 0 }));
         settings.push((Key::Delay, channel + 1, Value::Delay { after: channel, ps: 10_000 }));

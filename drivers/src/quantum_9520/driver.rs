@@ -165,10 +165,18 @@ impl Quantum9520 {
 
     /// Injector channel off, then clock off; the second is done even if the first fails.
     async fn halt(&mut self, doing: &str) -> Result<(), DriverError> {
-        let injector = self.set(INJECTOR_CHANNEL, Key::State, Value::Flag(false), doing).await;
-        let clock = self.set(0, Key::State, Value::Flag(false), doing).await;
+        let injector = self.switch_off(INJECTOR_CHANNEL, doing).await;
+        let clock = self.switch_off(0, doing).await;
         self.note_last_injection();
         injector.and(clock)
+    }
+
+    /// Told twice when the first time fails, whatever the reason: off is off, and a line that was lost may be back.
+    async fn switch_off(&mut self, channel: u32, doing: &str) -> Result<(), DriverError> {
+        match self.set(channel, Key::State, Value::Flag(false), doing).await {
+            Ok(()) => Ok(()),
+            Err(_) => self.set(channel, Key::State, Value::Flag(false), doing).await,
+        }
     }
 
     fn refused(&self, doing: &str, why: String) -> DriverError {
