@@ -4,24 +4,28 @@ use crate::campaign::Instruments;
 use crate::config::{Config, Pace, SIMULATED};
 use crate::reduce::Reduced;
 use crate::truth::WorldTruth;
+use ditd_drivers::TRIGGER_UNITS;
 use ditd_drivers::error::DriverError;
 use ditd_drivers::fluke_418x::Fluke418x;
 use ditd_drivers::gige::GigeSettings;
 use ditd_drivers::instrument::{Calibrator, Camera, TriggerUnit};
-use ditd_drivers::quantum_9520::{Quantum9520, TriggerLimits};
-use ditd_drivers::wire::{Wire, WireSettings};
+use ditd_drivers::wire::{ByteStream, Wire, WireSettings};
 use ditd_sim::rig::build::{self, BuildError};
 use ditd_sim::rig::camera::{SimCamera, WorldState};
 use ditd_sim::rig::chamber::World;
+use ditd_sim::rig::config::RigConfig;
+use ditd_sim::rig::fluke_418x as fluke_sim;
 use ditd_sim::rig::plate::Plate;
+use ditd_sim::rig::pulse::Pulse;
+use ditd_sim::rig::pulser;
 use ditd_sim::rig::truth::{Sampling, Truth};
-use ditd_sim::rig::{fluke_418x as fluke_sim, quantum_9520 as quantum_sim};
 use ditd_sim::scene::library::OwnFile;
 use std::collections::HashMap;
 use std::io::Write;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
 
 pub use ditd_sim::rig::build::View;
 
@@ -185,9 +189,9 @@ impl Prepared {
             Err(error) => Err(error),
         };
         match others {
-            Ok((plate, camera)) => Ok(Opened {
-                instruments: Instruments { plate: Box::new(plate), trigger: Box::new(trigger), camera },
-            }),
+            Ok((plate, camera)) => {
+                Ok(Opened { instruments: Instruments { plate: Box::new(plate), trigger, camera } })
+            }
             Err(error) => {
                 let _ = trigger.make_safe().await;
                 Err(error)
@@ -226,26 +230,23 @@ impl Prepared {
 
     async fn open_trigger(
         &self,
-        pulses: mpsc::Sender<ditd_sim::rig::pulse::Pulse>,
+        pulses: mpsc::Sender<Pulse>,
         start: tokio::time::Instant,
-    ) -> Result<Quantum9520, OpenError> {
+    ) -> Result<Box<dyn TriggerUnit>, OpenError> {
         let config = &self.config;
+        let driver = config.trigger.driver.as_str();
+        let unknown = || OpenError::Config(format!("trigger.driver: there is no driver {driver:?}"));
+        let model = TRIGGER_UNITS.iter().find(|model| model.name == driver).ok_or_else(unknown)?;
         let wire = if config.trigger.address == "sim" {
             let rig = config.rig.as_ref().ok_or_else(no_world)?;
             let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
-            tokio::spawn(quantum_sim::serve(theirs, pulses, rig.pulser.clone(), start));
+            simulate_trigger(driver, rig, theirs, pulses, start)?;
             Wire::over(ours, "trigger unit at sim")
         } else {
-            let settings = line_settings(config.trigger.baud, ditd_drivers::quantum_9520::wire_settings());
+            let settings = line_settings(config.trigger.baud, (model.wire_settings)());
             Wire::open(&config.trigger.address, "trigger unit", &settings).await?
         };
-        let limits = TriggerLimits {
-            injector_pulse_max_s: config.trigger.injection_limit_s,
-            injection_interval_min_s: config.trigger.injection_interval_limit_s,
-            camera_integration_s: config.camera.integration_s,
-            camera_readout_s: config.camera.readout_s,
-        };
-        Ok(Quantum9520::new(wire, limits))
+        Ok((model.drive)(wire, config.trigger_limits()))
     }
 
     async fn open_plate(
@@ -261,14 +262,14 @@ impl Prepared {
         let rig = config.rig.as_ref().ok_or_else(no_world)?;
         let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
         let plate = Arc::new(Mutex::new(Plate::new(rig.plate.clone(), config.campaign.seed)));
-        tokio::spawn(fluke_sim::serve(theirs, Arc::clone(&plate), rig.calibrator.clone(), start));
+        simulate_plate(&config.plate.driver, rig, theirs, Arc::clone(&plate), start)?;
         Ok((Fluke418x::new(Wire::over(ours, "plate calibrator at sim")), Some(plate)))
     }
 
     async fn open_camera(
         &self,
         plate: Option<Arc<Mutex<Plate>>>,
-        pulses: mpsc::Receiver<ditd_sim::rig::pulse::Pulse>,
+        pulses: mpsc::Receiver<Pulse>,
     ) -> Result<Box<dyn Camera>, OpenError> {
         let camera = &self.config.camera;
         if camera.address == SIMULATED {
@@ -280,13 +281,13 @@ impl Prepared {
     fn simulated_camera(
         &self,
         plate: Option<Arc<Mutex<Plate>>>,
-        pulses: mpsc::Receiver<ditd_sim::rig::pulse::Pulse>,
+        pulses: mpsc::Receiver<Pulse>,
     ) -> Result<SimCamera, OpenError> {
         let rig = self.config.rig.as_ref().ok_or_else(no_world)?;
         let world = match &self.world {
             Some(world) => Arc::clone(world),
             None => Arc::new(build::world(
-                &ditd_sim::rig::config::RigConfig { spray: None, ..rig.clone() },
+                &RigConfig { spray: None, ..rig.clone() },
                 View::Bench,
                 self.config.campaign.seed,
                 Path::new(""),
@@ -419,6 +420,41 @@ fn read_surface(folder: &Path) -> HashMap<u64, f64> {
 fn mean_surface(surface: &HashMap<u64, f64>, frames: &[u64]) -> f64 {
     let seen: Vec<f64> = frames.iter().filter_map(|frame| surface.get(frame).copied()).collect();
     if seen.is_empty() { f64::NAN } else { seen.iter().sum::<f64>() / seen.len() as f64 }
+}
+
+/// Puts a simulated trigger unit on a stream. Ends when the stream's other side has gone.
+///
+/// # Errors
+///
+/// [`OpenError::Config`] for a driver that nothing simulates.
+pub fn simulate_trigger(
+    driver: &str,
+    rig: &RigConfig,
+    stream: impl ByteStream + 'static,
+    pulses: mpsc::Sender<Pulse>,
+    start: tokio::time::Instant,
+) -> Result<JoinHandle<()>, OpenError> {
+    let unit = pulser::model(driver)
+        .ok_or_else(|| OpenError::Config(format!("trigger.driver: nothing simulates {driver:?}")))?;
+    Ok(tokio::spawn(pulser::serve(unit, stream, pulses, rig.pulser.clone(), start)))
+}
+
+/// Puts a simulated calibrator with its plate on a stream. Ends when the stream's other side has gone.
+///
+/// # Errors
+///
+/// [`OpenError::Config`] for a driver that nothing simulates.
+pub fn simulate_plate(
+    driver: &str,
+    rig: &RigConfig,
+    stream: impl ByteStream + 'static,
+    plate: Arc<Mutex<Plate>>,
+    start: tokio::time::Instant,
+) -> Result<JoinHandle<()>, OpenError> {
+    if driver != "fluke_418x" {
+        return Err(OpenError::Config(format!("plate.driver: nothing simulates {driver:?}")));
+    }
+    Ok(tokio::spawn(fluke_sim::serve(stream, plate, rig.calibrator.clone(), start)))
 }
 
 #[cfg(feature = "aravis")]

@@ -175,7 +175,9 @@ impl ServedRig {
                 let listener = TcpListener::bind(peer).await.map_err(|error| wrong(error.to_string()))?;
                 let local = listener.local_addr().map_err(|error| wrong(error.to_string()))?;
                 if !local.ip().is_loopback() {
-                    return Err(wrong("not on loopback: a simulated instrument is not put on a real network".to_owned()));
+                    return Err(wrong(
+                        "not on loopback: a simulated instrument is not put on a real network".to_owned(),
+                    ));
                 }
                 let (near, far) = tokio::io::duplex(PIPE_BYTES);
                 self.tasks.push(tokio::spawn(pump(listener, near)));

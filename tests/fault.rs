@@ -17,14 +17,14 @@ use ditd::plan::Plan;
 use ditd::reduce::{Reduced, Total};
 use ditd::rigs::View;
 use ditd::session::SessionError;
+use ditd_drivers::TRIGGER_UNITS;
 use ditd_drivers::fluke_418x::Fluke418x;
 use ditd_drivers::instrument::ShotKind;
-use ditd_drivers::quantum_9520::{Quantum9520, TriggerLimits};
 use ditd_drivers::wire::Wire;
 use ditd_sim::rig::camera::{SimCamera, WorldState};
 use ditd_sim::rig::plate::Plate;
 use ditd_sim::rig::pulse::Pulse;
-use ditd_sim::rig::{build, fluke_418x, quantum_9520};
+use ditd_sim::rig::{build, fluke_418x, pulser};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -71,7 +71,10 @@ fn run(preset: &Preset) -> After {
         let (trigger_wire, far) = tokio::io::duplex(4096);
         let (unit, mut outputs) = mpsc::channel::<Pulse>(1);
         let (input, pulses) = mpsc::channel(1);
-        tokio::spawn(quantum_9520::serve(far, unit, rig.pulser.clone(), start));
+        let driver = config.trigger.driver.as_str();
+        let model = pulser::model(driver).unwrap();
+        tokio::spawn(pulser::serve(model, far, unit, rig.pulser.clone(), start));
+        let model = TRIGGER_UNITS.iter().find(|model| model.name == driver).unwrap();
         let tap = Arc::clone(&tapped);
         tokio::spawn(async move {
             while let Some(pulse) = outputs.recv().await {
@@ -94,15 +97,9 @@ fn run(preset: &Preset) -> After {
             WorldState::default(),
             pulses,
         );
-        let limits = TriggerLimits {
-            injector_pulse_max_s: config.trigger.injection_limit_s,
-            injection_interval_min_s: config.trigger.injection_interval_limit_s,
-            camera_integration_s: config.camera.integration_s,
-            camera_readout_s: config.camera.readout_s,
-        };
         let mut instruments = Instruments {
             plate: Box::new(Fluke418x::new(Wire::over(plate_wire, "plate calibrator at sim"))),
-            trigger: Box::new(Quantum9520::new(Wire::over(trigger_wire, "trigger unit at sim"), limits)),
+            trigger: (model.drive)(Wire::over(trigger_wire, "trigger unit at sim"), config.trigger_limits()),
             camera: Box::new(camera),
         };
         let engine = Engine {

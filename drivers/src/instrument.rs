@@ -10,6 +10,7 @@ use async_trait::async_trait;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::time::Instant;
 
 /// Who an instrument says it is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -157,6 +158,17 @@ pub trait TriggerUnit: Send {
     async fn program(&mut self, program: &ShotProgram) -> Result<ShotProgram, DriverError>;
     /// Starts the burst that was programmed and confirms that the unit runs.
     async fn start(&mut self) -> Result<(), DriverError>;
+    /// Whether each cycle of a started burst has to be begun by [`TriggerUnit::begin_cycle`]: true for a unit that
+    /// cannot make the pauses by itself. Such a unit fires nothing more when nobody begins a cycle.
+    fn is_begun_by_cycle(&self) -> bool {
+        false
+    }
+    /// Begins cycle `cycle` (counted from 0, in order) at `due`, or later when the chamber needs it or `due` is past;
+    /// returns the moment of the cycle's first T0 pulse by this computer's clock. Does nothing on a unit that makes its
+    /// cycles by itself.
+    async fn begin_cycle(&mut self, _cycle: u32, due: Instant) -> Result<Instant, DriverError> {
+        Ok(due)
+    }
     /// Whether pulses are still being made.
     async fn running(&mut self) -> Result<bool, DriverError>;
     /// Stops the clock; outputs go to rest. The injector's channel is switched off first.

@@ -3,6 +3,7 @@
 //! Wires, codecs and drivers, and the traits that a campaign commands. Knows no physics: what a plate or a
 //! detector does lies in `ditd-sim`, what the numbers mean in `ditd`.
 
+pub mod dg645;
 pub mod error;
 pub mod fluke_418x;
 pub mod gige;
@@ -11,9 +12,11 @@ mod keyword;
 pub mod ports;
 pub mod quantity;
 pub mod quantum_9520;
+pub mod trigger_limits;
 pub mod wire;
 
 use instrument::{Calibrator, TriggerUnit};
+use trigger_limits::{TriggerLimits, UnitRange};
 use wire::{Wire, WireSettings};
 
 /// A model of calibrator that a configuration can name.
@@ -32,8 +35,10 @@ pub struct TriggerModel {
     pub name: &'static str,
     /// The line settings at delivery.
     pub wire_settings: fn() -> WireSettings,
+    /// What it can time and count.
+    pub range: UnitRange,
     /// Makes the driver over an open wire, with the limits of the rig. Sends nothing.
-    pub drive: fn(Wire, quantum_9520::TriggerLimits) -> Box<dyn TriggerUnit>,
+    pub drive: fn(Wire, TriggerLimits) -> Box<dyn TriggerUnit>,
 }
 
 /// All calibrators.
@@ -44,8 +49,17 @@ pub const CALIBRATORS: &[CalibratorModel] = &[CalibratorModel {
 }];
 
 /// All trigger units.
-pub const TRIGGER_UNITS: &[TriggerModel] = &[TriggerModel {
-    name: "quantum_9520",
-    wire_settings: quantum_9520::wire_settings,
-    drive: |wire, limits| Box::new(quantum_9520::Quantum9520::new(wire, limits)),
-}];
+pub const TRIGGER_UNITS: &[TriggerModel] = &[
+    TriggerModel {
+        name: "quantum_9520",
+        wire_settings: quantum_9520::wire_settings,
+        range: quantum_9520::RANGE,
+        drive: |wire, limits| Box::new(quantum_9520::Quantum9520::new(wire, limits)),
+    },
+    TriggerModel {
+        name: "dg645",
+        wire_settings: dg645::wire_settings,
+        range: dg645::RANGE,
+        drive: |wire, limits| Box::new(dg645::Dg645::new(wire, limits)),
+    },
+];

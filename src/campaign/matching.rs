@@ -4,6 +4,9 @@
 //! that is lost leaves its place empty and never shifts the ones after it. When the very first frame of a burst
 //! is lost the origin is wrong by one place: then the first cycle cannot become complete, it is rejected, and the
 //! origin is set anew. Pure.
+//!
+//! A unit that is begun cycle by cycle has one grid per cycle. Where the next one lies the computer's clock tells, to a
+//! few milliseconds: enough to know a frame from its neighbour, which keeps the rule that a lost first frame shifts nothing.
 
 use ditd_drivers::instrument::ShotProgram;
 
@@ -35,12 +38,35 @@ pub(super) struct Matcher {
     /// two clocks that drift apart never add up.
     anchor: Option<(i128, i128)>,
     confirmed: bool,
+    /// Begun cycle by cycle: the present cycle, and when it began by this computer's clock, in ns.
+    begun: Option<(u32, i128)>,
+    /// The grid of the present cycle is known only from the computer's clock; its first frame sets it.
+    loose: bool,
 }
 
 impl Matcher {
     /// For a burst as the trigger unit took it.
     pub(super) fn new(program: ShotProgram) -> Self {
-        Self { program, anchor: None, confirmed: false }
+        Self { program, anchor: None, confirmed: false, begun: None, loose: false }
+    }
+
+    /// A cycle was begun at `at_ns` by this computer's clock, on a unit that is begun cycle by cycle: its pulses lie on a
+    /// grid of their own. How far it lies from the last one the computer knows to some milliseconds, which is enough to tell
+    /// a place from its neighbour; the cycle's first frame makes it exact.
+    pub(super) fn begin(&mut self, cycle: u32, at_ns: u64) {
+        let at = i128::from(at_ns);
+        let before = self.begun.replace((cycle, at));
+        if let (Some((pulse, stamp)), Some((last, last_at))) = (self.anchor, before) {
+            let place = pulse - self.first_pulse(last);
+            let period = i128::from(self.program.period_ns);
+            let first_stamp = stamp - place * period + (at - last_at);
+            self.anchor = Some((self.first_pulse(cycle), first_stamp));
+            self.loose = true;
+        }
+    }
+
+    fn first_pulse(&self, cycle: u32) -> i128 {
+        i128::from(self.program.frame_ns(cycle, 0)) / i128::from(self.program.period_ns)
     }
 
     /// Places a frame by its time stamp. `due` is the cycle that is being collected: the first frame of all is taken
@@ -51,13 +77,17 @@ impl Matcher {
     /// Words that say how the stamp misses the grid.
     pub(super) fn place(&mut self, device_ns: u64, due: u32) -> Result<Place, String> {
         let period = i128::from(self.program.period_ns);
-        let first = i128::from(self.program.frame_ns(due, 0)) / period;
+        let first = self.first_pulse(due);
         let stamp = i128::from(device_ns);
         let (anchor_pulse, anchor_ns) = *self.anchor.get_or_insert((first, stamp));
         let since = stamp - anchor_ns;
         let pulses = (since + period / 2).div_euclid(period);
         let off = since - pulses * period;
-        let allowed = GRID_TOLERANCE * period as f64 + CLOCK_TOLERANCE * since.unsigned_abs() as f64;
+        let allowed = if self.loose {
+            AMBIGUOUS * period as f64
+        } else {
+            GRID_TOLERANCE * period as f64 + CLOCK_TOLERANCE * since.unsigned_abs() as f64
+        };
         if allowed > AMBIGUOUS * period as f64 {
             return Err(format!(
                 "time stamp {device_ns} ns comes {:.0} s after the last one: too long to place it on a grid of {period} ns",
@@ -78,6 +108,7 @@ impl Matcher {
                 if cycle < self.program.cycles && position < self.program.frames_per_cycle() =>
             {
                 self.anchor = Some((pulse, stamp));
+                self.loose = false;
                 Ok(Place { cycle, position })
             }
             _ => Err(format!("time stamp {device_ns} ns lies in the pause, where no frame was triggered")),
@@ -164,6 +195,30 @@ mod tests {
             }
             matcher.collected(true);
         }
+    }
+
+    /// Begun by hand, cycles come some milliseconds late; a cycle's lost first frame is still seen.
+    #[test]
+    fn cycles_that_are_begun_by_hand_have_grids_of_their_own() {
+        let mut matcher = Matcher::new(program());
+        let late_ns = |cycle: u32| u64::from(cycle * 7 % 5) * 1_500_000;
+        for cycle in 0..4 {
+            // What the computer notes is off by another millisecond.
+            matcher.begin(cycle, 55_000 + program().frame_ns(cycle, 0) + late_ns(cycle) + 1_000_000);
+            for position in u32::from(cycle == 2)..4 {
+                let at = stamp(cycle, position) + late_ns(cycle);
+                assert_eq!(matcher.place(at, cycle), Ok(Place { cycle, position }));
+            }
+            matcher.collected(cycle != 2);
+        }
+        // 10 ms off is between two places: refused, and the next frame is not.
+        let mut matcher = Matcher::new(program());
+        matcher.begin(0, 0);
+        matcher.place(stamp(0, 0), 0).unwrap();
+        matcher.collected(true);
+        matcher.begin(1, program().frame_ns(1, 0) - program().frame_ns(0, 0));
+        assert!(matcher.place(stamp(1, 0) + 10_000_000, 1).is_err());
+        assert_eq!(matcher.place(stamp(1, 1) + 3_000_000, 1), Ok(Place { cycle: 1, position: 1 }));
     }
 
     #[test]

@@ -32,6 +32,10 @@ const FRAME_MARGIN: Duration = Duration::from_millis(1500);
 /// takes 5 ms (measured with a loopback camera: median 5 ms, 16 ms at most under load).
 const LISTEN_MARGIN: Duration = Duration::from_millis(50);
 
+/// Before a cycle is due on a unit that is begun cycle by cycle, the driver gets this long to ask whether it may begin: above
+/// what it takes for that (3 s), and short enough for a stop wish to wait.
+const BEGIN_LEAD: Duration = Duration::from_millis(3500);
+
 /// The stop wish is looked at this often while waiting.
 const WISH_POLL: Duration = Duration::from_millis(250);
 
@@ -527,8 +531,12 @@ impl Engine<'_> {
         let mut matcher = Matcher::new(program.clone());
         let mut carry: Option<Frame> = None;
         let mut silent = 0;
+        let mut begun = begun;
         for cycle in 0..program.cycles {
             let number = first_cycle + cycle;
+            if self.instruments.trigger.is_begun_by_cycle() {
+                begun = self.begin_cycle(level, program, cycle, begun, &mut matcher).await?;
+            }
             self.note(Record::Intent { act: format!("cycle {number}"), level: Some(level) })?;
             let collected = self
                 .collect_cycle(level, program, cycle, number, shutter, begun, &mut matcher, &mut carry)
@@ -582,6 +590,43 @@ impl Engine<'_> {
             self.heed(Wish::Pause)?;
         }
         Ok(true)
+    }
+
+    /// Begins a cycle on a unit that makes no pauses by itself. `begun` is when the burst began by the last cycle's own
+    /// clock; returns the same by this one's.
+    async fn begin_cycle(
+        &mut self,
+        level: u32,
+        program: &ShotProgram,
+        cycle: u32,
+        begun: Instant,
+        matcher: &mut Matcher,
+    ) -> Step<Instant> {
+        let offset = Duration::from_nanos(program.frame_ns(cycle, 0));
+        let due = begun + offset;
+        loop {
+            self.heed(Wish::Pause)?;
+            let left = due.saturating_duration_since(Instant::now());
+            if left <= BEGIN_LEAD {
+                break;
+            }
+            let reason = format!(
+                "level {}: cycle {} of {}: pause, residual vapour is flushed out",
+                level + 1,
+                cycle + 1,
+                program.cycles
+            );
+            self.progress.waiting(&reason, Some(left.as_secs_f64()));
+            sleep((left - BEGIN_LEAD).min(WISH_POLL)).await;
+        }
+        if program.inject {
+            // Whatever happens from here on, fuel may come.
+            let spray = program.frame_ns(0, program.frames_per_cycle() - 1) - program.frame_ns(0, 0);
+            self.last_injection = Some(due.max(Instant::now()) + Duration::from_nanos(spray));
+        }
+        let fired = self.instruments.trigger.begin_cycle(cycle, due).await?;
+        matcher.begin(cycle, u64::try_from((fired - self.started).as_nanos()).unwrap_or(u64::MAX));
+        Ok(fired.checked_sub(offset).unwrap_or(fired))
     }
 
     #[expect(

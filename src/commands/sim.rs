@@ -106,12 +106,7 @@ pub fn run(args: Args, clock: &Clock) -> CommandResult {
 
 /// A campaign in the chamber wants a calibration that was taken without it. Where the file names one that is not there, the
 /// same rig takes it by itself, in virtual time.
-fn provide_calibration(
-    source: &Source,
-    config: &Config,
-    clock: &Clock,
-    stop: &StopFlag,
-) -> CommandResult {
+fn provide_calibration(source: &Source, config: &Config, clock: &Clock, stop: &StopFlag) -> CommandResult {
     let folder = source.folder.join(&config.optics.calibration);
     if config.optics.calibration == "measure" || folder.exists() || config.calibration.is_none() {
         return Ok(());

@@ -1,7 +1,10 @@
 //! Limits and impossible combinations of a campaign file. Pure.
 
 use super::{Config, Pace, SIMULATED};
+use crate::plan::{Plan, Purpose};
 use ditd_drivers::gige::GigeSettings;
+use ditd_drivers::trigger_limits::{self, About};
+use ditd_drivers::{TRIGGER_UNITS, TriggerModel};
 use ditd_sim::light::air::{AirPath, Atmosphere};
 use ditd_sim::light::band::Response;
 use ditd_sim::light::fuel::Fuel;
@@ -29,7 +32,45 @@ pub(super) fn problems(config: &Config) -> Vec<Problem> {
     instruments(config, &mut found);
     optics(config, &mut found);
     world(config, &mut found);
+    // Times that are no times are named above; a plan is made of good ones only.
+    if found.is_empty() {
+        triggering(config, &mut found);
+    }
     found
+}
+
+/// What the trigger unit's driver would refuse, asked of every program of the plans.
+fn triggering(config: &Config, found: &mut Vec<Problem>) {
+    let Some(model) = trigger_model(config) else { return };
+    let limits = config.trigger_limits();
+    let plans = [Some(Plan::of_map(config)), Plan::of_standard_curve(config)];
+    for plan in plans.iter().flatten() {
+        // All levels of a plan have the same program.
+        for level in plan.levels.iter().take(1) {
+            for complaint in trigger_limits::complaints(&level.program, &limits, &model.range) {
+                let key = key_of(complaint.about, plan.purpose);
+                if !found.iter().any(|problem| problem.key == key) {
+                    found.push(Problem { key: key.to_owned(), message: complaint.why });
+                }
+            }
+        }
+    }
+}
+
+fn trigger_model(config: &Config) -> Option<&'static TriggerModel> {
+    TRIGGER_UNITS.iter().find(|model| model.name == config.trigger.driver)
+}
+
+fn key_of(about: About, purpose: Purpose) -> &'static str {
+    match (about, purpose) {
+        (About::Limits, _) => "trigger.injection_limit_s",
+        (About::Period | About::ReadOut, _) => "campaign.frame_period_s",
+        (About::Counts | About::Pause, Purpose::StandardCurve) => "calibration.frames",
+        (About::Counts, Purpose::Map) => "campaign.cycles",
+        (About::Pause | About::InjectionInterval, _) => "campaign.pause_s",
+        (About::CameraPulse, _) => "trigger.exposure_delay_s",
+        (About::InjectorPulse | About::InjectorLength, _) => "trigger.injection_s",
+    }
 }
 
 fn require(found: &mut Vec<Problem>, holds: bool, key: &'static str, message: impl FnOnce() -> String) {
@@ -84,9 +125,9 @@ fn campaign(config: &Config, found: &mut Vec<Problem>) {
             config.trigger.injection_interval_limit_s
         )
     });
-    require(found, between / c.frame_period_s * f64::from(c.cycles) < 9_999_999.0, "campaign.cycles", || {
-        "cycles · (frames + pause) / frame_period exceeds 9999999 clock pulses, the trigger unit's longest burst"
-            .to_owned()
+    // The plan counts periods in 32 bits; what the trigger unit counts it says below.
+    require(found, between / c.frame_period_s * f64::from(c.cycles.max(1)) < 4e9, "campaign.cycles", || {
+        "cycles · (frames + pause) / frame_period exceeds 4·10⁹ clock periods".to_owned()
     });
     require(found, c.epoch.parse::<jiff::Timestamp>().is_ok(), "campaign.epoch", || {
         format!("must be an RFC 3339 time such as 2026-01-01T00:00:00Z, found {:?}", c.epoch)
@@ -129,8 +170,17 @@ fn instruments(config: &Config, found: &mut Vec<Problem>) {
     require(found, config.plate.driver == "fluke_418x", "plate.driver", || {
         format!("unknown driver {:?}; there is: fluke_418x", config.plate.driver)
     });
-    require(found, config.trigger.driver == "quantum_9520", "trigger.driver", || {
-        format!("unknown driver {:?}; there is: quantum_9520", config.trigger.driver)
+    let driver = config.trigger.driver.as_str();
+    require(found, trigger_model(config).is_some(), "trigger.driver", || {
+        let names: Vec<_> = TRIGGER_UNITS.iter().map(|model| model.name).collect();
+        format!("unknown driver {driver:?}; there are: {}", names.join(", "))
+    });
+    let needs_check = driver == "dg645" && config.trigger.address != "sim";
+    require(found, !needs_check || config.trigger.prescaler_checked, "trigger.driver", || {
+        "no source says from where the prescalers of a DG645 count inside a burst, and a spray in the wrong frame is a wrong \
+         label that nothing shows: look once with an oscilloscope as docs/INSTRUMENTS.md says, then write \
+         prescaler_checked = true"
+            .to_owned()
     });
     camera_driver(config, found);
     require(found, config.monitors.is_empty(), "monitor.driver", || {

@@ -11,6 +11,7 @@ pub use check::Problem;
 pub use diagnose::ConfigError;
 
 use ditd_drivers::gige::GigeSettings;
+use ditd_drivers::trigger_limits::TriggerLimits;
 use ditd_sim::rig::config::RigConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -162,7 +163,7 @@ pub struct Plate {
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Trigger {
-    /// Driver: the name of its file (`quantum_9520`).
+    /// Driver: the name of its file (`quantum_9520`, `dg645`).
     pub driver: String,
     /// `sim`, `serial:/dev/…` or `tcp:host:port`.
     pub address: String,
@@ -176,6 +177,10 @@ pub struct Trigger {
     pub injection_limit_s: f64,
     /// Shortest time between two injections that the chamber allows, in s.
     pub injection_interval_limit_s: f64,
+    /// A real `dg645`: somebody has seen on an oscilloscope that the injector's output fires with the last frame of a cycle
+    /// (docs/INSTRUMENTS.md, Trigger units); absent: no.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub prescaler_checked: bool,
 }
 
 /// `[camera]`
@@ -308,15 +313,23 @@ impl Config {
     #[must_use]
     pub fn simulated_inside(&self) -> Self {
         let mut inside = self.clone();
-        for address in
-            [&mut inside.plate.address, &mut inside.trigger.address, &mut inside.camera.address]
-        {
+        for address in [&mut inside.plate.address, &mut inside.trigger.address, &mut inside.camera.address] {
             SIMULATED.clone_into(address);
         }
         SIMULATED.clone_into(&mut inside.camera.driver);
         inside.camera.gige = None;
         inside.campaign.pace = Pace::Max;
         inside
+    }
+
+    /// What the rig allows of a program of shots.
+    pub fn trigger_limits(&self) -> TriggerLimits {
+        TriggerLimits {
+            injector_pulse_max_s: self.trigger.injection_limit_s,
+            injection_interval_min_s: self.trigger.injection_interval_limit_s,
+            camera_integration_s: self.camera.integration_s,
+            camera_readout_s: self.camera.readout_s,
+        }
     }
 
     /// Emissivity above which pixels count in the true error of a simulated run (0.2 unless set).

@@ -9,7 +9,7 @@ use super::RigError;
 use super::fluke_418x::FlukeBehaviour;
 use super::gige::{GigeFault, Preset};
 use super::plate::PlateModel;
-use super::quantum_9520::QuantumBehaviour;
+use super::pulser::PulserBehaviour;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -43,9 +43,9 @@ pub struct RigConfig {
     /// The calibrator's side of its line; a well-behaved 4181 when absent.
     #[serde(default = "FlukeBehaviour::fluke_4181")]
     pub calibrator: FlukeBehaviour,
-    /// The trigger unit's side of its line; well behaved when absent.
-    #[serde(default = "QuantumBehaviour::delivered")]
-    pub pulser: QuantumBehaviour,
+    /// The trigger unit's side of its line; well behaved when absent. Which model it is `trigger.driver` says.
+    #[serde(default = "PulserBehaviour::delivered")]
+    pub pulser: PulserBehaviour,
     /// The camera's side of the network, where it is served as a GigE Vision device; a generic one when absent.
     #[serde(default)]
     pub gige: GigeBehaviour,

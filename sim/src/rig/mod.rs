@@ -4,6 +4,7 @@ pub mod build;
 pub mod camera;
 pub mod chamber;
 pub mod config;
+mod dg645;
 pub mod detector;
 mod error;
 pub mod fluctuation;
@@ -14,7 +15,10 @@ pub mod line;
 pub mod noise;
 pub mod plate;
 pub mod pulse;
-pub mod quantum_9520;
+pub mod pulser;
+#[cfg(test)]
+mod pulser_bench;
+mod quantum_9520;
 pub mod radiometry;
 #[cfg(test)]
 mod sample;
