@@ -7,6 +7,7 @@ pub mod error;
 pub mod fluke_418x;
 pub mod instrument;
 mod keyword;
+pub mod modbus;
 pub mod quantity;
 pub mod quantum_9520;
 pub mod wire;
