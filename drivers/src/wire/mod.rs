@@ -92,6 +92,11 @@ impl Wire {
         &self.name
     }
 
+    /// Bits per second, where the line is a serial one that was opened here.
+    pub fn baud(&self) -> Option<u32> {
+        self.baud
+    }
+
     /// Longest wait for an answer.
     pub fn deadline(&self) -> Duration {
         self.habits.deadline
