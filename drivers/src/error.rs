@@ -82,6 +82,20 @@ pub enum DriverError {
         /// What to try.
         hint: String,
     },
+    /// The line had ended and has been opened again. What the instrument holds is not known, and what was being done was
+    /// not repeated.
+    #[error(
+        "{who}: {doing}: the line was gone ({why}) and has been opened again; what the instrument holds is not known. \
+         Check plugs and power: it may go again."
+    )]
+    Reopened {
+        /// Instrument and address.
+        who: String,
+        /// The act.
+        doing: String,
+        /// What the system said when it went.
+        why: String,
+    },
     /// The line has ended: unplugged, or the other side has gone.
     #[error("{who}: {doing}: the line is gone: {why}. {hint}")]
     Lost {
@@ -99,7 +113,12 @@ pub enum DriverError {
 impl DriverError {
     /// True for trouble that the process's exit status 3 (device missing) stands for.
     pub fn is_missing_device(&self) -> bool {
-        matches!(self, Self::Missing { .. } | Self::Lost { .. } | Self::Silent { .. })
+        matches!(self, Self::Missing { .. } | Self::Lost { .. } | Self::Silent { .. } | Self::Reopened { .. })
+    }
+
+    /// True when the line was lost and is there again, so that the instrument can be told what it must hold.
+    pub fn is_reopened(&self) -> bool {
+        matches!(self, Self::Reopened { .. })
     }
 
     /// True for trouble that exit status 4 (interlock or limit) stands for.

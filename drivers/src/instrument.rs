@@ -67,6 +67,10 @@ pub trait Calibrator: Send {
     /// Set-point to its minimum, output left on until below 100 °C, then off. Idempotent; returns at once
     /// after commanding it, with the reading on which it decided.
     async fn make_safe(&mut self) -> Result<PlateReading, DriverError>;
+    /// The last digit of its display: a reading that stands still by less than this says nothing.
+    fn digit(&self) -> KelvinDelta {
+        KelvinDelta(0.001)
+    }
 }
 
 /// What one exposure is for.
