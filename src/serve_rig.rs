@@ -47,7 +47,7 @@ pub struct ServedRig {
     /// What is served.
     pub served: Vec<Served>,
     camera: Option<GigeServer>,
-    tasks: Vec<JoinHandle<()>>,
+    tasks: Vec<(&'static str, JoinHandle<()>)>,
     links: Vec<Link>,
 }
 
@@ -55,6 +55,12 @@ impl ServedRig {
     /// What the camera's network side has done; `None` when no camera is served.
     pub fn camera_stats(&self) -> Option<GigeStats> {
         self.camera.as_ref().map(GigeServer::stats)
+    }
+
+    /// Pulls the plug of an instrument's line, for good: `plate` or `trigger`. What it was doing it goes on with only if
+    /// it needs no line for it.
+    pub fn unplug(&self, instrument: &str) {
+        self.tasks.iter().filter(|(name, _)| *name == instrument).for_each(|(_, task)| task.abort());
     }
 
     /// Serves until the operator wishes otherwise; returns what the camera's network side has done.
@@ -66,7 +72,7 @@ impl ServedRig {
         if let Some(camera) = self.camera {
             camera.stop().await;
         }
-        self.tasks.iter().for_each(JoinHandle::abort);
+        self.tasks.iter().for_each(|(_, task)| task.abort());
         drop(self.links);
         stats
     }
@@ -89,13 +95,15 @@ pub async fn serve(
     let mut ours = ServedRig { served: Vec::new(), camera: None, tasks: Vec::new(), links: Vec::new() };
     let (pulses, received) = mpsc::channel(PULSES_MAX);
     let trigger = &config.trigger;
-    if let Some((stream, behind)) = ours.line(&trigger.address).await? {
-        ours.tasks.push(simulate_trigger(&trigger.driver, rig, stream, pulses.clone(), start)?);
+    if let Some((stream, behind)) = ours.line("trigger", &trigger.address).await? {
+        let task = simulate_trigger(&trigger.driver, rig, stream, pulses.clone(), start)?;
+        ours.tasks.push(("trigger", task));
         ours.note("trigger", &trigger.address, behind);
     }
     let plate = Arc::new(Mutex::new(Plate::new(rig.plate.clone(), config.campaign.seed)));
-    if let Some((stream, behind)) = ours.line(&config.plate.address).await? {
-        ours.tasks.push(simulate_plate(&config.plate.driver, rig, stream, Arc::clone(&plate), start)?);
+    if let Some((stream, behind)) = ours.line("plate", &config.plate.address).await? {
+        let task = simulate_plate(&config.plate.driver, rig, stream, Arc::clone(&plate), start)?;
+        ours.tasks.push(("plate", task));
         ours.note("plate", &config.plate.address, behind);
     }
     if config.camera.address != SIMULATED {
@@ -162,7 +170,11 @@ impl ServedRig {
     }
 
     /// The instrument's end of a line; `None` for an instrument that has none.
-    async fn line(&mut self, address: &str) -> Result<Option<(Box<dyn ByteStream>, String)>, OpenError> {
+    async fn line(
+        &mut self,
+        instrument: &'static str,
+        address: &str,
+    ) -> Result<Option<(Box<dyn ByteStream>, String)>, OpenError> {
         let wrong = |why: String| OpenError::Config(format!("sim serve: {address}: {why}"));
         match address.split_once(':') {
             None if address == SIMULATED => Ok(None),
@@ -180,7 +192,7 @@ impl ServedRig {
                     ));
                 }
                 let (near, far) = tokio::io::duplex(PIPE_BYTES);
-                self.tasks.push(tokio::spawn(pump(listener, near)));
+                self.tasks.push((instrument, tokio::spawn(pump(listener, near))));
                 Ok(Some((Box::new(far), format!("listening at {local}"))))
             }
             _ => Err(wrong("no line can be simulated there: serial:PATH or tcp:127.0.0.1:PORT".to_owned())),

@@ -5,6 +5,8 @@
 mod fit;
 mod mie;
 mod render;
+#[cfg(feature = "aravis")]
+mod wires;
 
 use super::{CommandResult, print};
 use crate::clock::Clock;
@@ -33,6 +35,9 @@ enum Task {
     Fit(fit::Args),
     /// Mie theory: tables of spheres, single spheres, angles, size distributions on one thread; clouds on all
     Mie(Output),
+    /// Instruments on their lines: exchanges, rates and latency of a GigE camera on loopback; some minutes
+    #[cfg(feature = "aravis")]
+    Wires(wires::Args),
     /// The ray tracer: time against error of every mode, and with the size of scene and spray; a minute or two a subject
     Render(render::Args),
 }
@@ -76,6 +81,8 @@ pub fn run(args: &Args, clock: &Clock) -> CommandResult {
     let (output, figures) = match &args.task {
         Task::Fit(args) => (&args.output, fit::figures(&watch, args)?),
         Task::Mie(output) => (output, mie::figures(&watch)?),
+        #[cfg(feature = "aravis")]
+        Task::Wires(args) => (&args.output, wires::figures(&watch, args)?),
         Task::Render(args) => (&args.output, render::figures(&watch, args)?),
     };
     if output.json { print(&format!("{}\n", serde_json::json!(figures))) } else { print(&table(&figures)) }

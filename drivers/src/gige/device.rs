@@ -24,6 +24,10 @@ const EXPOSURE_TOLERANCE: f64 = 1e-3;
 /// again; beyond it the next frames wait.
 const FRAME_RETENTION_MS: u32 = 200;
 
+/// GigE Vision's control channel privilege register: bit 0 exclusive, bit 1 control.
+const CONTROL_PRIVILEGE: u64 = 0x0A00;
+const HAS_CONTROL: u32 = 0b11;
+
 /// The stream's counters that say something about losses.
 const COUNTERS: [&str; 10] = [
     "n_completed_buffers",
@@ -150,6 +154,15 @@ impl Device {
         const DOING: &str = "asking whether it is still there";
         if self.is_lost() {
             return Err(self.lost(DOING, "it no longer obeys this program".to_owned()));
+        }
+        if let Some(device) = self.camera.device().filter(|_| self.camera.is_gv_device()) {
+            // A camera that has restarted answers, and has forgotten whom it obeys.
+            let privilege = device.read_register(CONTROL_PRIVILEGE);
+            let (_, value) = privilege.map_err(|error| self.lost(DOING, error.message().to_owned()))?;
+            if value & HAS_CONTROL == 0 {
+                return Err(self.lost(DOING, "it no longer obeys this program".to_owned()));
+            }
+            return Ok(());
         }
         let name = self.names.of(Purpose::Width).unwrap_or("Width");
         self.camera.integer(name).map(|_| ()).map_err(|error| self.lost(DOING, error.message().to_owned()))
