@@ -28,6 +28,12 @@ const PULSES_MAX: usize = 16;
 /// Bytes between a TCP connection and the instrument behind it.
 const PIPE_BYTES: usize = 4096;
 
+/// How often a terminal is opened to the next client.
+const UNMARK_EVERY: Duration = Duration::from_secs(1);
+
+/// Whose tasks hold the clients' ends.
+const HOLDER: &str = "holder";
+
 /// The stop wish is looked at this often.
 const WISH_POLL: Duration = Duration::from_millis(100);
 
@@ -179,7 +185,8 @@ impl ServedRig {
         match address.split_once(':') {
             None if address == SIMULATED => Ok(None),
             Some(("serial", path)) => {
-                let (far, name) = pseudo_terminal().map_err(|error| wrong(error.to_string()))?;
+                let (far, near, name) = pseudo_terminal().map_err(|error| wrong(error.to_string()))?;
+                self.tasks.push((HOLDER, tokio::spawn(hold(near))));
                 self.links.push(Link::make(Path::new(path), Path::new(&name)).map_err(wrong)?);
                 Ok(Some((far, format!("pseudo-terminal {name}"))))
             }
@@ -208,19 +215,42 @@ async fn pump(listener: TcpListener, mut near: tokio::io::DuplexStream) {
     }
 }
 
-/// The instrument's end of a new pseudo-terminal, and the name of the other.
+/// A new pseudo-terminal: the instrument's end, the other end, which must be held, and its name.
 #[cfg(unix)]
-fn pseudo_terminal() -> Result<(Box<dyn ByteStream>, String), Box<dyn std::error::Error>> {
+fn pseudo_terminal() -> Result<(Box<dyn ByteStream>, Held, String), Box<dyn std::error::Error>> {
+    use rustix::fs::{Mode, OFlags};
     use tokio_serial::{SerialPort, SerialStream};
     let (far, near) = SerialStream::pair()?;
     let name = near.name().ok_or("the pseudo-terminal has no name")?;
-    Ok((Box::new(far), name))
+    let held = rustix::fs::open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
+    Ok((Box::new(far), held, name))
+}
+
+#[cfg(unix)]
+type Held = std::os::fd::OwnedFd;
+
+#[cfg(not(unix))]
+type Held = ();
+
+#[cfg(not(unix))]
+fn pseudo_terminal() -> Result<(Box<dyn ByteStream>, Held, String), Box<dyn std::error::Error>> {
+    Err("this system has no pseudo-terminals: use tcp:127.0.0.1:PORT".into())
+}
+
+/// Holds the client's end open, so that it may come and go: once nobody has it open the instrument's end reports a hang-up
+/// that tokio never forgets, and reads in a circle. A client leaves the terminal marked as exclusive, which would shut an
+/// ordinary user's next one out: the mark is taken away.
+#[cfg(unix)]
+async fn hold(near: Held) {
+    loop {
+        // Fails only on terminals that know no such mark.
+        let _ = rustix::termios::ioctl_tiocnxcl(&near);
+        sleep(UNMARK_EVERY).await;
+    }
 }
 
 #[cfg(not(unix))]
-fn pseudo_terminal() -> Result<(Box<dyn ByteStream>, String), Box<dyn std::error::Error>> {
-    Err("this system has no pseudo-terminals: use tcp:127.0.0.1:PORT".into())
-}
+async fn hold((): Held) {}
 
 /// A link to a pseudo-terminal; it goes when this is dropped.
 #[derive(Debug)]
