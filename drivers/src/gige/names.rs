@@ -100,6 +100,9 @@ const GENERIC: &[Feature] = &[
 /// Names that differ from the convention (pyflir 0.2.4: `PS0IntegrationTime` in ms, `CorrectionAuto*`).
 const FLIR: &[Feature] = &[
     feature(Purpose::Exposure, "PS0IntegrationTime", None, true),
+    // The trigger's names differ from model to model and no public source has them: the campaign file must name at least
+    // the source; whether there is a mode and a selector besides is the camera's affair.
+    feature(Purpose::TriggerMode, "TriggerMode", Some("On"), false),
     feature(Purpose::Shutter, "FlagInField", None, false),
     feature(Purpose::ShutterTemperature, "FlagTemperature", None, false),
     feature(Purpose::OffsetCorrection, "CorrectionAutoPerform", None, false),
