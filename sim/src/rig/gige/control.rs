@@ -4,11 +4,14 @@
 //! then PENDING_ACK is sent, reads are answered and other writes are BUSY. A command heard twice with the same id is
 //! answered as before and not carried out again.
 
-use super::device::{DISCOVERY_BYTES, Device, Effect, PENDING_MS, Trigger};
+use super::bootstrap::DISCOVERY_BYTES;
+use super::device::{Device, Effect, PENDING_MS};
 use super::fault::GigeFault;
 use super::gvcp::{self, Command, PAYLOAD_BYTES_MAX, Request, ResendRange, Status};
 use super::gvsp;
-use super::stream::{Act, Flags, Log, Order, Outcome, Outlet, Pulser, Report, Ring};
+use super::outlet::{Outlet, Ring};
+use super::plan::Trigger;
+use super::stream::{Act, Flags, Log, Order, Outcome, Pulser, Report};
 use ditd_drivers::quantity::Kelvin;
 use std::collections::VecDeque;
 use std::net::{SocketAddr, SocketAddrV4};
@@ -223,6 +226,7 @@ impl Control {
                     match self.device.read(client, address, 4, now_ns) {
                         Ok(bytes) => payload.extend(bytes),
                         Err(error) => {
+                            self.note_refusal(client, "read", address, error);
                             status = error;
                             break;
                         }
@@ -237,7 +241,10 @@ impl Control {
                         debug_assert!(payload.len() <= PAYLOAD_BYTES_MAX);
                         self.acknowledge(client, request, Status::Success, &payload).await;
                     }
-                    Err(status) => self.acknowledge(client, request, status, &[]).await,
+                    Err(status) => {
+                        self.note_refusal(client, "read", address, status);
+                        self.acknowledge(client, request, status, &[]).await;
+                    }
                 }
             }
             Command::WriteRegister(pairs) => {
@@ -264,6 +271,7 @@ impl Control {
             match self.write_one(client, address, &bytes) {
                 Ok(effect) => effects.extend(effect),
                 Err(error) => {
+                    self.note_refusal(client, &format!("write of {bytes:02X?} to"), address, error);
                     status = error;
                     break;
                 }
@@ -295,6 +303,10 @@ impl Control {
         if reset {
             self.restart(RESET_SILENCE);
         }
+    }
+
+    fn note_refusal(&self, client: SocketAddrV4, act: &str, address: u32, status: Status) {
+        (self.log)(&format!("camera on the network: {client}: {act} 0x{address:08X}: {status:?}"));
     }
 
     fn write_one(
@@ -476,7 +488,9 @@ impl Control {
 
     async fn resend(&mut self, client: SocketAddrV4, channel: u16, range: ResendRange) {
         self.outlet.stats.note(|stats| stats.resend_requests += 1);
-        if channel != 0 || range.last < range.first || self.device.controller() != Some(client) {
+        // Aravis asks from the stream's socket: the address must be the owner's, the port need not.
+        let owner = self.device.controller().map(|owner| *owner.ip());
+        if channel != 0 || range.last < range.first || owner != Some(*client.ip()) {
             return;
         }
         let (Some(to), ids) = (self.device.plan().destination, self.device.ids()) else { return };

@@ -18,6 +18,7 @@
 //! rise by one per frame, by more when the camera behind lost one; [`RESEND_BYTES_MAX`] bytes of frames are kept
 //! for resend requests.
 
+mod bootstrap;
 mod control;
 mod device;
 pub mod fault;
@@ -25,8 +26,11 @@ mod feature;
 mod gvcp;
 mod gvsp;
 mod image;
+mod outlet;
 pub mod pattern;
+mod plan;
 pub mod presets;
+mod profile;
 mod server;
 mod stats;
 mod stream;
@@ -35,7 +39,7 @@ mod tests;
 mod xml;
 
 pub use fault::GigeFault;
+pub use outlet::RESEND_BYTES_MAX;
 pub use presets::{Preset, Sensor};
 pub use server::{GigeCamera, GigeServer};
 pub use stats::GigeStats;
-pub use stream::RESEND_BYTES_MAX;

@@ -4,12 +4,14 @@
 //! may live on the same one. Nothing here knows a register or a packet.
 
 use super::control::{Clock, Control};
-use super::device::{Device, Profile};
+use super::device::Device;
 use super::fault::{Faults, GigeFault};
 use super::gvcp;
+use super::outlet::{Late, Outlet, Ring};
 use super::presets::{Preset, Sensor};
+use super::profile::Profile;
 use super::stats::{GigeStats, Shared};
-use super::stream::{Flags, Late, Log, Outlet, Pulser, Ring, Streamer};
+use super::stream::{Flags, Log, Pulser, Streamer};
 use crate::rig::RigError;
 use crate::rig::pulse::Pulse;
 use ditd_drivers::instrument::{Camera, Identity};
