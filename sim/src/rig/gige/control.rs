@@ -280,10 +280,15 @@ impl Control {
         }
         let [high, low] = done.to_be_bytes();
         let payload = [0, 0, high, low];
+        if effects.contains(&Effect::Reset) {
+            // Acknowledged first: afterwards it is silent.
+            self.acknowledge(client, request, status, &payload).await;
+            self.order(Act::Stop).await;
+            self.restart(RESET_SILENCE);
+            return;
+        }
         let mut acts = VecDeque::new();
-        let mut reset = false;
         for effect in effects {
-            reset |= effect == Effect::Reset;
             acts.extend(self.carry_out(effect).await);
         }
         if acts.is_empty() {
@@ -299,9 +304,6 @@ impl Control {
                 acts,
                 notice: Instant::now() + PENDING_FIRST,
             });
-        }
-        if reset {
-            self.restart(RESET_SILENCE);
         }
     }
 
@@ -371,7 +373,7 @@ impl Control {
                 self.flags.clock_zero_ns.store(self.clock.raw_ns(), Ordering::Relaxed);
                 None
             }
-            Effect::Reset => self.order(Act::Stop).await,
+            Effect::Reset => None,
         }
     }
 
@@ -388,10 +390,11 @@ impl Control {
         let failed = match result {
             Ok(Outcome::Started(taken)) => {
                 self.device.set_integration(taken.integration_s);
-                if self.device.controller().is_some() {
+                let owner = self.pending.as_ref().map(|pending| pending.client);
+                if owner.is_some() && self.device.controller() == owner {
                     self.device.set_acquiring(true, now_ns);
                 } else {
-                    // Control was lost meanwhile: nobody wants the stream.
+                    // Control was lost meanwhile: nobody wants this stream.
                     self.order(Act::Stop).await;
                 }
                 false

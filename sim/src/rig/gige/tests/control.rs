@@ -231,6 +231,35 @@ async fn user_name_outlives_a_restart_and_other_registers_do_not() {
 }
 
 #[tokio::test]
+async fn reset_is_acknowledged_and_then_nothing_is_heard_for_a_while() {
+    let server = camera(|camera| camera).await;
+    let mut client = Client::in_control(&server).await;
+    assert_eq!(client.set("Width", 32).await, SUCCESS);
+    client.start_software().await;
+    assert_eq!(client.set("DeviceReset", 1).await, SUCCESS);
+    assert_eq!(server.stats().restarts, 1);
+    let width = client.address("Width");
+    let asked = command(&Command::ReadMemory { address: width, count: 4 }, 60_000);
+    let mut every = interval(Duration::from_millis(100));
+    let mut tries = 0;
+    let heard = async {
+        let mut buffer = [0; 64];
+        loop {
+            every.tick().await;
+            tries += 1;
+            client.socket.send(&asked).await.expect("loopback takes it");
+            if let Ok(count) = client.socket.try_recv(&mut buffer) {
+                return answer(&buffer[..count]).expect("an acknowledge").3;
+            }
+        }
+    };
+    let payload = timeout(LONG, heard).await.expect("it comes back");
+    assert_eq!(payload[4..], 64_u32.to_be_bytes());
+    // Two seconds of silence are twenty tries.
+    assert!(tries > 5, "{tries}");
+}
+
+#[tokio::test]
 async fn denied_control_is_denied_to_everybody() {
     let server = faulty(GigeFault::AccessDenied).await;
     let mut client = Client::of(&server).await;

@@ -5,6 +5,7 @@
 mod control;
 mod makes;
 mod stream;
+mod world;
 
 use super::gvcp::client::{answer, command};
 use super::gvcp::{Command, ResendRange};
