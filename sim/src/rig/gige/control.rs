@@ -100,6 +100,9 @@ pub(super) struct Control {
     heartbeat_due: Option<Instant>,
     silent_until: Option<Instant>,
     acknowledges: u64,
+    /// The stream that was started last, and the last one that has ended by itself.
+    run: u64,
+    run_ended: u64,
 }
 
 impl Control {
@@ -131,6 +134,8 @@ impl Control {
             heartbeat_due: None,
             silent_until: None,
             acknowledges: 0,
+            run: 0,
+            run_ended: 0,
         }
     }
 
@@ -388,11 +393,13 @@ impl Control {
         let now_ns = self.now_ns();
         let result = done.unwrap_or_else(|| Err("the camera's task has died".to_owned()));
         let failed = match result {
-            Ok(Outcome::Started(taken)) => {
+            Ok(Outcome::Started(taken, run)) => {
                 self.device.set_integration(taken.integration_s);
                 let owner = self.pending.as_ref().map(|pending| pending.client);
                 if owner.is_some() && self.device.controller() == owner {
-                    self.device.set_acquiring(true, now_ns);
+                    // A stream of few frames may have ended before this is heard.
+                    self.run = run;
+                    self.device.set_acquiring(run > self.run_ended, now_ns);
                 } else {
                     // Control was lost meanwhile: nobody wants this stream.
                     self.order(Act::Stop).await;
@@ -432,7 +439,12 @@ impl Control {
 
     fn take_report(&mut self, report: Report) {
         match report {
-            Report::Ended => self.device.set_acquiring(false, self.now_ns()),
+            Report::Ended(run) => {
+                self.run_ended = run;
+                if run == self.run {
+                    self.device.set_acquiring(false, self.now_ns());
+                }
+            }
             Report::Restart(silence) => self.restart(silence),
         }
     }
@@ -543,10 +555,11 @@ impl Control {
                 self.outlet.stats.note(|stats| stats.answers += 1);
             }
             Some(delay) => {
-                self.outlet.late.send(&self.socket, answer, client.into(), delay);
+                let sent = self.outlet.late.send(&self.socket, answer, client.into(), delay);
                 self.outlet.stats.note(|stats| {
-                    stats.answers += 1;
-                    stats.answers_late += 1;
+                    stats.answers += u64::from(sent);
+                    stats.answers_late += u64::from(sent);
+                    stats.answers_lost += u64::from(!sent);
                 });
             }
         }

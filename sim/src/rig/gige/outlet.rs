@@ -46,9 +46,9 @@ impl Late {
         Self(Arc::new(Semaphore::new(LATE_MAX)))
     }
 
-    /// Sends a datagram after `delay`.
-    pub(super) fn send(&self, socket: &Arc<UdpSocket>, bytes: Vec<u8>, to: SocketAddr, delay: Duration) {
-        let Ok(permit) = Arc::clone(&self.0).try_acquire_owned() else { return };
+    /// Sends a datagram after `delay`; false when too many wait already, and it is lost.
+    pub(super) fn send(&self, socket: &Arc<UdpSocket>, bytes: Vec<u8>, to: SocketAddr, delay: Duration) -> bool {
+        let Ok(permit) = Arc::clone(&self.0).try_acquire_owned() else { return false };
         let socket = Arc::clone(socket);
         tokio::spawn(async move {
             sleep(delay).await;
@@ -56,6 +56,7 @@ impl Late {
             let _ = socket.send_to(&bytes, to).await;
             drop(permit);
         });
+        true
     }
 }
 
@@ -84,8 +85,11 @@ impl Outlet {
             bytes.truncate(bytes.len() / 2);
         }
         if let Some(delay) = fate.late {
-            tally.packets_late += 1;
-            self.late.send(&self.socket, bytes.clone(), to.into(), delay);
+            if self.late.send(&self.socket, bytes.clone(), to.into(), delay) {
+                tally.packets_late += 1;
+            } else {
+                tally.packets_failed += 1;
+            }
             return true;
         }
         if fate.swapped {
@@ -131,13 +135,7 @@ impl Outlet {
         }
         self.stats.note(|stats| {
             stats.frames_sent += 1;
-            stats.packets_sent += tally.packets_sent;
-            stats.packets_failed += tally.packets_failed;
-            stats.packets_dropped += tally.packets_dropped;
-            stats.packets_swapped += tally.packets_swapped;
-            stats.packets_doubled += tally.packets_doubled;
-            stats.packets_cut += tally.packets_cut;
-            stats.packets_late += tally.packets_late;
+            stats.add_packets(&tally);
         });
     }
 
@@ -165,7 +163,7 @@ impl Outlet {
                 self.refuse(range.block, packet, ids, to, &mut tally).await;
             }
         }
-        self.note_resend(&tally);
+        self.stats.note(|stats| stats.add_packets(&tally));
     }
 
     /// Answers a resend request with a refusal of every packet.
@@ -175,22 +173,12 @@ impl Outlet {
         for packet in range.first..=last {
             self.refuse(range.block, packet, ids, to, &mut tally).await;
         }
-        self.note_resend(&tally);
+        self.stats.note(|stats| stats.add_packets(&tally));
     }
 
     async fn refuse(&self, block: u64, packet: u32, ids: IdMode, to: SocketAddrV4, tally: &mut GigeStats) {
         tally.packets_refused += 1;
         self.send(&unavailable(ids, block, packet), to, tally).await;
-    }
-
-    fn note_resend(&self, tally: &GigeStats) {
-        self.stats.note(|stats| {
-            stats.packets_sent += tally.packets_sent;
-            stats.packets_failed += tally.packets_failed;
-            stats.packets_dropped += tally.packets_dropped;
-            stats.packets_resent += tally.packets_resent;
-            stats.packets_refused += tally.packets_refused;
-        });
     }
 }
 

@@ -45,7 +45,8 @@ pub(super) enum Act {
 /// What an act has led to.
 #[derive(Debug)]
 pub(super) enum Outcome {
-    Started(CameraSettings),
+    /// What the camera took, and the number of the stream.
+    Started(CameraSettings, u64),
     Stopped,
     Shutter(bool, Option<Kelvin>),
     Corrected,
@@ -53,8 +54,8 @@ pub(super) enum Outcome {
 
 /// What the task tells the control side unasked.
 pub(super) enum Report {
-    /// The stream has ended by itself.
-    Ended,
+    /// The stream of this number has ended by itself.
+    Ended(u64),
     /// The camera restarts and is silent for so long.
     Restart(Duration),
 }
@@ -119,6 +120,8 @@ pub(super) struct Streamer {
     pub(super) log: Log,
     /// Frames so far over the life of the camera.
     pub(super) frames: u64,
+    /// Streams so far.
+    pub(super) runs: u64,
 }
 
 /// A stream that runs.
@@ -188,9 +191,10 @@ impl Streamer {
                 let clock = free.then(|| tokio::spawn(self.pulser.clone().run(plan.rate_hz)));
                 let mut plan = *plan;
                 plan.layout.integration_s = taken.integration_s;
+                self.runs += 1;
                 *run = Some(Run { plan, last: None, frames: 0, stalled_until: None, clock });
                 self.outlet.stats.note(|stats| stats.streams += 1);
-                Ok(Outcome::Started(taken))
+                Ok(Outcome::Started(taken, self.runs))
             }
             Act::Stop => {
                 *run = None;
@@ -224,7 +228,7 @@ impl Streamer {
             Err(DriverError::Silent { .. }) => return None,
             Err(error) => {
                 (self.log)(&format!("camera on the network: the stream ends: {error}"));
-                return Some(Report::Ended);
+                return Some(Report::Ended(self.runs));
             }
         };
         let ordinal = self.frames;
@@ -237,7 +241,7 @@ impl Streamer {
             Ok(block) => block,
             Err(why) => {
                 (self.log)(&format!("camera on the network: the stream ends: {why}"));
-                return Some(Report::Ended);
+                return Some(Report::Ended(self.runs));
             }
         };
         if let Some(block) = block {
@@ -248,7 +252,7 @@ impl Streamer {
             }
         }
         run.frames += 1;
-        run.plan.frames_max.is_some_and(|max| run.frames >= max).then_some(Report::Ended)
+        run.plan.frames_max.is_some_and(|max| run.frames >= max).then_some(Report::Ended(self.runs))
     }
 
     /// The block of a frame; `None` when a fault takes it whole.

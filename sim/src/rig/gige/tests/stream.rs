@@ -193,6 +193,37 @@ async fn lost_frames_leave_gaps_and_jumps_too() {
 }
 
 #[tokio::test]
+async fn faults_come_and_go_while_it_runs() {
+    let server = camera(|camera| camera).await;
+    let mut client = Client::in_control(&server).await;
+    client.start_software().await;
+    assert_eq!(client.shot().await.id, 1);
+    assert!(server.play(vec![GigeFault::FrameLoss { probability: -1.0 }]).is_err());
+    server.play(vec![GigeFault::FrameLoss { probability: 1.0 }]).unwrap();
+    client.trigger().await;
+    until("the loss", || server.stats().frames_lost == 1).await;
+    server.play(Vec::new()).unwrap();
+    assert_eq!(client.shot().await.id, 3);
+}
+
+/// Ended by itself and started again at once, many times: the registers never say the contrary of what is.
+#[tokio::test]
+async fn short_streams_end_and_start_again() {
+    let server = camera(|camera| camera).await;
+    let mut client = Client::in_control(&server).await;
+    assert_eq!(client.set("AcquisitionMode", 1).await, SUCCESS);
+    assert_eq!(client.set_double("AcquisitionFrameRate", 1000.0).await, SUCCESS);
+    for number in 1..=20 {
+        assert_eq!(client.set("AcquisitionStart", 1).await, SUCCESS);
+        assert_eq!(client.block().await.id, 1);
+        let width = client.address("Width");
+        let unlocked = async { while client.write(width, 64).await != SUCCESS {} };
+        timeout(LONG, unlocked).await.expect("the registers are unlocked");
+        assert_eq!(server.stats().streams, number);
+    }
+}
+
+#[tokio::test]
 async fn packet_faults_do_what_they_say() {
     let kinds = async |fault: GigeFault, count: usize| {
         let server = faulty(fault).await;
