@@ -47,7 +47,13 @@ impl Late {
     }
 
     /// Sends a datagram after `delay`; false when too many wait already, and it is lost.
-    pub(super) fn send(&self, socket: &Arc<UdpSocket>, bytes: Vec<u8>, to: SocketAddr, delay: Duration) -> bool {
+    pub(super) fn send(
+        &self,
+        socket: &Arc<UdpSocket>,
+        bytes: Vec<u8>,
+        to: SocketAddr,
+        delay: Duration,
+    ) -> bool {
         let Ok(permit) = Arc::clone(&self.0).try_acquire_owned() else { return false };
         let socket = Arc::clone(socket);
         tokio::spawn(async move {
