@@ -4,11 +4,14 @@
 //! then PENDING_ACK is sent, reads are answered and other writes are BUSY. A command heard twice with the same id is
 //! answered as before and not carried out again.
 
-use super::device::{DISCOVERY_BYTES, Device, Effect, PENDING_MS, Trigger};
+use super::bootstrap::DISCOVERY_BYTES;
+use super::device::{Device, Effect, PENDING_MS};
 use super::fault::GigeFault;
 use super::gvcp::{self, Command, PAYLOAD_BYTES_MAX, Request, ResendRange, Status};
 use super::gvsp;
-use super::stream::{Act, Flags, Log, Order, Outcome, Outlet, Pulser, Report, Ring};
+use super::outlet::{Outlet, Ring};
+use super::plan::Trigger;
+use super::stream::{Act, Flags, Log, Order, Outcome, Pulser, Report};
 use ditd_drivers::quantity::Kelvin;
 use std::collections::VecDeque;
 use std::net::{SocketAddr, SocketAddrV4};
@@ -97,6 +100,9 @@ pub(super) struct Control {
     heartbeat_due: Option<Instant>,
     silent_until: Option<Instant>,
     acknowledges: u64,
+    /// The stream that was started last, and the last one that has ended by itself.
+    run: u64,
+    run_ended: u64,
 }
 
 impl Control {
@@ -128,6 +134,8 @@ impl Control {
             heartbeat_due: None,
             silent_until: None,
             acknowledges: 0,
+            run: 0,
+            run_ended: 0,
         }
     }
 
@@ -223,6 +231,7 @@ impl Control {
                     match self.device.read(client, address, 4, now_ns) {
                         Ok(bytes) => payload.extend(bytes),
                         Err(error) => {
+                            self.note_refusal(client, "read", address, error);
                             status = error;
                             break;
                         }
@@ -237,7 +246,10 @@ impl Control {
                         debug_assert!(payload.len() <= PAYLOAD_BYTES_MAX);
                         self.acknowledge(client, request, Status::Success, &payload).await;
                     }
-                    Err(status) => self.acknowledge(client, request, status, &[]).await,
+                    Err(status) => {
+                        self.note_refusal(client, "read", address, status);
+                        self.acknowledge(client, request, status, &[]).await;
+                    }
                 }
             }
             Command::WriteRegister(pairs) => {
@@ -264,6 +276,7 @@ impl Control {
             match self.write_one(client, address, &bytes) {
                 Ok(effect) => effects.extend(effect),
                 Err(error) => {
+                    self.note_refusal(client, &format!("write of {bytes:02X?} to"), address, error);
                     status = error;
                     break;
                 }
@@ -272,10 +285,15 @@ impl Control {
         }
         let [high, low] = done.to_be_bytes();
         let payload = [0, 0, high, low];
+        if effects.contains(&Effect::Reset) {
+            // Acknowledged first: afterwards it is silent.
+            self.acknowledge(client, request, status, &payload).await;
+            self.order(Act::Stop).await;
+            self.restart(RESET_SILENCE);
+            return;
+        }
         let mut acts = VecDeque::new();
-        let mut reset = false;
         for effect in effects {
-            reset |= effect == Effect::Reset;
             acts.extend(self.carry_out(effect).await);
         }
         if acts.is_empty() {
@@ -292,9 +310,10 @@ impl Control {
                 notice: Instant::now() + PENDING_FIRST,
             });
         }
-        if reset {
-            self.restart(RESET_SILENCE);
-        }
+    }
+
+    fn note_refusal(&self, client: SocketAddrV4, act: &str, address: u32, status: Status) {
+        (self.log)(&format!("camera on the network: {client}: {act} 0x{address:08X}: {status:?}"));
     }
 
     fn write_one(
@@ -359,7 +378,7 @@ impl Control {
                 self.flags.clock_zero_ns.store(self.clock.raw_ns(), Ordering::Relaxed);
                 None
             }
-            Effect::Reset => self.order(Act::Stop).await,
+            Effect::Reset => None,
         }
     }
 
@@ -374,12 +393,15 @@ impl Control {
         let now_ns = self.now_ns();
         let result = done.unwrap_or_else(|| Err("the camera's task has died".to_owned()));
         let failed = match result {
-            Ok(Outcome::Started(taken)) => {
+            Ok(Outcome::Started(taken, run)) => {
                 self.device.set_integration(taken.integration_s);
-                if self.device.controller().is_some() {
-                    self.device.set_acquiring(true, now_ns);
+                let owner = self.pending.as_ref().map(|pending| pending.client);
+                if owner.is_some() && self.device.controller() == owner {
+                    // A stream of few frames may have ended before this is heard.
+                    self.run = run;
+                    self.device.set_acquiring(run > self.run_ended, now_ns);
                 } else {
-                    // Control was lost meanwhile: nobody wants the stream.
+                    // Control was lost meanwhile: nobody wants this stream.
                     self.order(Act::Stop).await;
                 }
                 false
@@ -417,7 +439,12 @@ impl Control {
 
     fn take_report(&mut self, report: Report) {
         match report {
-            Report::Ended => self.device.set_acquiring(false, self.now_ns()),
+            Report::Ended(run) => {
+                self.run_ended = run;
+                if run == self.run {
+                    self.device.set_acquiring(false, self.now_ns());
+                }
+            }
             Report::Restart(silence) => self.restart(silence),
         }
     }
@@ -476,7 +503,9 @@ impl Control {
 
     async fn resend(&mut self, client: SocketAddrV4, channel: u16, range: ResendRange) {
         self.outlet.stats.note(|stats| stats.resend_requests += 1);
-        if channel != 0 || range.last < range.first || self.device.controller() != Some(client) {
+        // Aravis asks from the stream's socket: the address must be the owner's, the port need not.
+        let owner = self.device.controller().map(|owner| *owner.ip());
+        if channel != 0 || range.last < range.first || owner != Some(*client.ip()) {
             return;
         }
         let (Some(to), ids) = (self.device.plan().destination, self.device.ids()) else { return };
@@ -526,10 +555,11 @@ impl Control {
                 self.outlet.stats.note(|stats| stats.answers += 1);
             }
             Some(delay) => {
-                self.outlet.late.send(&self.socket, answer, client.into(), delay);
+                let sent = self.outlet.late.send(&self.socket, answer, client.into(), delay);
                 self.outlet.stats.note(|stats| {
-                    stats.answers += 1;
-                    stats.answers_late += 1;
+                    stats.answers += u64::from(sent);
+                    stats.answers_late += u64::from(sent);
+                    stats.answers_lost += u64::from(!sent);
                 });
             }
         }

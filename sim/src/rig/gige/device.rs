@@ -1,72 +1,15 @@
 //! The camera's registers and what they mean: who may write, what a write does, what it is limited to.
 //!
-//! Pure: time is handed in, effects are handed out and carried out elsewhere. Bootstrap addresses are those of the
-//! GigE Vision standard as the public headers of Aravis 0.8.26 and Wireshark's dissector give them.
+//! Pure: time is handed in, effects are handed out and carried out elsewhere.
 
+use super::bootstrap::*;
 use super::feature::{Access, Feature, Kind, double, word};
 use super::gvcp::Status;
-use super::gvsp::{IdMode, PayloadType};
-use super::image::{Chunks, Layout, Writing};
-use super::presets::{CHUNKS, MONO_14, Preset, SOURCE_SOFTWARE, SYNC_INTERNAL, SYNC_SOFTWARE, Sensor};
+use super::gvsp::IdMode;
+use super::profile::{Profile, encoded};
 use super::xml;
-use ditd_drivers::instrument::{CameraSettings, Identity};
 use std::collections::BTreeMap;
-use std::net::{Ipv4Addr, SocketAddrV4};
-
-/// Ticks of the camera's clock in a second: one is a nanosecond, as in the frames of the camera behind.
-const TICKS_PER_SECOND: u32 = 1_000_000_000;
-
-/// Bytes of the discovery answer: the memory from 0.
-pub(super) const DISCOVERY_BYTES: u16 = 0xF8;
-
-/// First byte of the description.
-const XML_BASE: u32 = 0x0010_0000;
-
-/// End of the readable bootstrap registers.
-const BOOTSTRAP_BYTES: u32 = 0x0E00;
-
-const VERSION: u32 = 0x0000;
-const MODE: u32 = 0x0004;
-const MAC_HIGH: u32 = 0x0008;
-const MAC_LOW: u32 = 0x000C;
-const IP_CAPABILITY: u32 = 0x0010;
-const IP_CONFIGURATION: u32 = 0x0014;
-const IP_ADDRESS: u32 = 0x0024;
-const IP_MASK: u32 = 0x0034;
-const MAKER: u32 = 0x0048;
-const MODEL: u32 = 0x0068;
-const DEVICE_VERSION: u32 = 0x0088;
-const MAKER_INFO: u32 = 0x00A8;
-const SERIAL: u32 = 0x00D8;
-const USER_NAME: u32 = 0x00E8;
-const USER_NAME_BYTES: u32 = 16;
-const XML_URL: u32 = 0x0200;
-const INTERFACES: u32 = 0x0600;
-const STREAM_CHANNELS: u32 = 0x0904;
-const GVSP_CAPABILITY: u32 = 0x092C;
-const GVCP_CAPABILITY: u32 = 0x0934;
-const HEARTBEAT_TIMEOUT: u32 = 0x0938;
-const TICKS_HIGH: u32 = 0x093C;
-const TICKS_LOW: u32 = 0x0940;
-const TIMESTAMP_CONTROL: u32 = 0x0944;
-const TIMESTAMP_HIGH: u32 = 0x0948;
-const TIMESTAMP_LOW: u32 = 0x094C;
-const GVCP_CONFIGURATION: u32 = 0x0954;
-const PENDING_TIMEOUT: u32 = 0x0958;
-const GVSP_CONFIGURATION: u32 = 0x0960;
-/// Control privilege.
-pub(super) const CONTROL: u32 = 0x0A00;
-const PRIMARY_PORT: u32 = 0x0A04;
-const PRIMARY_ADDRESS: u32 = 0x0A14;
-const STREAM_PORT: u32 = 0x0D00;
-const PACKET_SIZE: u32 = 0x0D04;
-const PACKET_DELAY: u32 = 0x0D08;
-const STREAM_ADDRESS: u32 = 0x0D18;
-const STREAM_SOURCE_PORT: u32 = 0x0D1C;
-
-/// Bits of the control privilege.
-const EXCLUSIVE: u32 = 1;
-const CONTROLLING: u32 = 2;
+use std::net::SocketAddrV4;
 
 const FIRE_TEST_PACKET: u32 = 1 << 31;
 const DO_NOT_FRAGMENT: u32 = 1 << 30;
@@ -84,17 +27,6 @@ pub(super) const PENDING_MS: u16 = 2000;
 /// 77 K and a warm laboratory, in degrees Celsius: the detector when cold and when just switched on.
 const COLD_C: f64 = -196.15;
 const WARM_C: f64 = 20.0;
-
-/// What makes frames.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Trigger {
-    /// The camera's own clock.
-    Free,
-    /// A signal on its input.
-    External,
-    /// A command.
-    Software,
-}
 
 /// What has to happen after a write.
 #[derive(Debug, Clone, PartialEq)]
@@ -121,48 +53,6 @@ pub(super) enum Effect {
     ClockReset,
 }
 
-/// What a stream is made from: the registers when it was started.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Plan {
-    /// What the camera behind is told.
-    pub(super) settings: CameraSettings,
-    /// How an image is written.
-    pub(super) layout: Layout,
-    /// Who gets the stream; `None`: nobody.
-    pub(super) destination: Option<SocketAddrV4>,
-    /// Bytes of a packet.
-    pub(super) packet_bytes: usize,
-    /// Nanoseconds from packet to packet at least.
-    pub(super) packet_delay_ns: u64,
-    /// How blocks are numbered.
-    pub(super) ids: IdMode,
-    /// What makes frames.
-    pub(super) trigger: Trigger,
-    /// Frames per second when free.
-    pub(super) rate_hz: f64,
-    /// Frames after which the stream ends by itself.
-    pub(super) frames_max: Option<u64>,
-}
-
-/// Who the camera is and where.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Profile {
-    /// Make.
-    pub(super) preset: Preset,
-    /// Detector.
-    pub(super) sensor: Sensor,
-    /// Names.
-    pub(super) identity: Identity,
-    /// Address on the network.
-    pub(super) address: Ipv4Addr,
-    /// Port that the stream comes from.
-    pub(super) stream_port: u16,
-    /// Nanoseconds after switching on until cooler and sensor are ready.
-    pub(super) cool_down_ns: u64,
-    /// Features that start with another value than the make's: name and register value.
-    pub(super) initial: Vec<(String, f64)>,
-}
-
 /// The registers.
 #[derive(Debug)]
 pub(super) struct Device {
@@ -177,47 +67,6 @@ pub(super) struct Device {
     acquiring: bool,
     armed: bool,
     switched_on_ns: u64,
-}
-
-/// A register's bytes for a number; `None` when the feature does not take it.
-fn encoded(kind: &Kind, value: f64) -> Option<Vec<u8>> {
-    if let Kind::Float { .. } = kind {
-        return kind.accept(&value.to_be_bytes(), |_| 0).ok();
-    }
-    let whole = (0.0..=f64::from(u32::MAX)).contains(&value) && value.fract().abs() < f64::EPSILON;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "from 0 to 2^32 − 1, whole")]
-    let word = if whole { value as u32 } else { return None };
-    // Limits that depend on other registers cannot be checked here; such features are not presettable.
-    let free = !matches!(kind, Kind::Integer { max: super::feature::Bound::Feature(_), .. });
-    kind.accept(&word.to_be_bytes(), |_| 0).ok().filter(|_| free && *kind != Kind::Command)
-}
-
-impl Profile {
-    /// Whether the camera can be made.
-    ///
-    /// # Errors
-    /// Says what is impossible.
-    pub(super) fn check(&self) -> Result<(), String> {
-        let Sensor { rows, columns, bits, .. } = self.sensor;
-        let least_columns = if self.preset == Preset::Telops { 64 } else { 1 };
-        if !(1..=16384).contains(&rows) || !(least_columns..=16384).contains(&columns) {
-            return Err(format!("{rows} rows × {columns} columns: expected {least_columns} to 16384"));
-        }
-        let bits_max = if self.preset == Preset::Flir { 14 } else { 16 };
-        if !(1..=bits_max).contains(&bits) {
-            return Err(format!("bits = {bits}: expected 1 to {bits_max} for this make"));
-        }
-        let features = self.preset.features(self.sensor);
-        for (name, value) in &self.initial {
-            let Some(feature) = features.iter().find(|feature| feature.name == name) else {
-                return Err(format!("this make has no feature {name:?}"));
-            };
-            if encoded(&feature.kind, *value).is_none() {
-                return Err(format!("{name} cannot start with {value}"));
-            }
-        }
-        Ok(())
-    }
 }
 
 impl Device {
@@ -312,6 +161,11 @@ impl Device {
             let count = text.len().min(room);
             self.bootstrap[start..start + count].copy_from_slice(&text[..count]);
         }
+    }
+
+    /// Make, detector and names.
+    pub(super) fn profile(&self) -> &Profile {
+        &self.profile
     }
 
     /// Who has control.
@@ -493,6 +347,8 @@ impl Device {
                     return Ok(Some(Effect::Stop));
                 }
             }
+            // Its options (multi-part and others) are not served: whatever a client writes, they stay off.
+            STREAM_CONFIGURATION => {}
             STREAM_ADDRESS => self.set_word(address, value),
             PACKET_DELAY => {
                 in_use(self.acquiring)?;
@@ -611,113 +467,25 @@ impl Device {
         }
     }
 
-    /// Which chunks follow an image; `None` without chunk mode.
-    fn chunks(&self) -> Option<Chunks> {
-        self.find("ChunkModeActive").filter(|&index| word(self.value(index)) == 1)?;
-        let enable = self.index("ChunkEnable");
-        let enabled = |number: u32| word(self.banked(enable, number)) == 1;
-        let mut chunks = Chunks { enabled: [false; CHUNKS.len()] };
-        for (number, on) in (0..).zip(&mut chunks.enabled) {
-            *on = enabled(number);
-        }
-        Some(chunks)
-    }
-
-    /// What makes frames.
-    pub(super) fn trigger(&self) -> Trigger {
-        if self.profile.preset == Preset::Flir {
-            return match self.integer("SyncSource") {
-                SYNC_INTERNAL => Trigger::Free,
-                SYNC_SOFTWARE => Trigger::Software,
-                _ => Trigger::External,
-            };
-        }
-        let selector = self.profile.preset.frame_selector();
-        let of = |name: &str| word(self.banked(self.index(name), selector));
-        match (of("TriggerMode"), of("TriggerSource")) {
-            (0, _) => Trigger::Free,
-            (_, SOURCE_SOFTWARE) => Trigger::Software,
-            _ => Trigger::External,
-        }
-    }
-
-    /// What a stream started now would be.
-    pub(super) fn plan(&self) -> Plan {
-        let Profile { preset, sensor, .. } = self.profile;
-        let header_rows = preset.header_rows();
-        let (exposure, per_second) = preset.exposure();
-        let integration_s = self.float(exposure) / per_second;
-        let pixel_format = self.integer("PixelFormat");
-        let writing = match (preset, self.find("IRFormat").map_or(0, |index| word(self.value(index)))) {
-            (Preset::Flir, 1) => Writing::TemperatureLinear { per_kelvin: 10 },
-            (Preset::Flir, 2) => Writing::TemperatureLinear { per_kelvin: 100 },
-            (Preset::Flir, _) if pixel_format != MONO_14 => Writing::Shifted(2),
-            _ => Writing::Counts,
-        };
-        let chunks = self.chunks();
-        let port = u16::try_from(self.word(STREAM_PORT) & 0xFFFF).unwrap_or(0);
-        let address = Ipv4Addr::from_bits(self.word(STREAM_ADDRESS));
-        let destination = (port != 0 && !address.is_unspecified()).then(|| SocketAddrV4::new(address, port));
-        let calibration_mode = self.find("CalibrationMode").map_or(0, |index| word(self.value(index)));
-        Plan {
-            settings: CameraSettings {
-                rows: sensor.rows as usize,
-                columns: sensor.columns as usize,
-                integration_s,
-                bits: sensor.bits,
-            },
-            layout: Layout {
-                sensor,
-                width: self.integer("Width"),
-                rows: self.integer("Height") - header_rows,
-                offset_x: self.integer("OffsetX"),
-                offset_y: self.integer("OffsetY"),
-                header_rows,
-                pixel_format,
-                writing,
-                chunks,
-                integration_s,
-                rate_hz: self.float(preset.rate()),
-                calibration_mode,
-                payload_type: if chunks.is_some() {
-                    PayloadType::ImageWithChunks
-                } else {
-                    PayloadType::Image
-                },
-            },
-            destination,
-            packet_bytes: (self.word(PACKET_SIZE) & 0xFFFF) as usize,
-            packet_delay_ns: u64::from(self.word(PACKET_DELAY)),
-            ids: self.ids(),
-            trigger: self.trigger(),
-            rate_hz: self.float(preset.rate()),
-            frames_max: match self.integer("AcquisitionMode") {
-                1 => Some(1),
-                2 => Some(u64::from(self.integer("AcquisitionFrameCount"))),
-                _ => None,
-            },
-        }
-    }
-
     /// Address of a feature's register, which a client reads from the description.
     #[cfg(test)]
     pub(super) fn address_of(&self, name: &str) -> Option<u32> {
         self.find(name).map(|index| self.features[index].address)
     }
 
-    fn find(&self, name: &str) -> Option<usize> {
+    pub(super) fn find(&self, name: &str) -> Option<usize> {
         self.features.iter().position(|feature| feature.name == name)
     }
 
-    fn index(&self, name: &str) -> usize {
+    pub(super) fn index(&self, name: &str) -> usize {
         self.find(name).unwrap_or_else(|| panic!("the table of every make has {name}"))
     }
 
-    fn integer(&self, name: &str) -> u32 {
+    pub(super) fn integer(&self, name: &str) -> u32 {
         word(self.value(self.index(name)))
     }
 
-    fn float(&self, name: &str) -> f64 {
+    pub(super) fn float(&self, name: &str) -> f64 {
         double(self.value(self.index(name)))
     }
 
@@ -727,12 +495,12 @@ impl Device {
         start..start + feature.kind.bytes() as usize
     }
 
-    fn value(&self, index: usize) -> &[u8] {
+    pub(super) fn value(&self, index: usize) -> &[u8] {
         &self.memory[self.span(index)]
     }
 
     /// The value of a selected feature for one value of its selector.
-    fn banked(&self, index: usize, selector: u32) -> &[u8] {
+    pub(super) fn banked(&self, index: usize, selector: u32) -> &[u8] {
         self.banks.get(&(index, selector)).map_or(&self.features[index].initial, |bytes| bytes)
     }
 
@@ -755,7 +523,7 @@ impl Device {
         }
     }
 
-    fn word(&self, address: u32) -> u32 {
+    pub(super) fn word(&self, address: u32) -> u32 {
         word(&self.bootstrap[address as usize..])
     }
 
@@ -767,5 +535,142 @@ impl Device {
     fn text(&self, address: u32, bytes: u32) -> Vec<u8> {
         let field = &self.bootstrap[address as usize..(address + bytes) as usize];
         field.iter().copied().take_while(|&byte| byte != 0).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::gige::plan::Trigger;
+    use crate::rig::gige::presets::{Preset, Sensor};
+    use ditd_drivers::instrument::Identity;
+    use std::net::Ipv4Addr;
+
+    const OWNER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 5000);
+    const SECOND: u64 = 1_000_000_000;
+
+    fn device(preset: Preset) -> Device {
+        let text = |text: &str| text.to_owned();
+        let identity = Identity {
+            maker: text("m"),
+            model: text("a model with a name of more than 31 letters"),
+            serial: text("s"),
+            firmware: text("f"),
+        };
+        let profile = Profile {
+            preset,
+            sensor: Sensor { rows: 512, columns: 640, bits: 14, shutter: false },
+            identity,
+            address: Ipv4Addr::new(127, 0, 0, 9),
+            stream_port: 4000,
+            cool_down_ns: SECOND,
+            initial: vec![("AcquisitionMode".to_owned(), 1.0)],
+        };
+        profile.check().expect("possible");
+        let mut device = Device::new(profile, 0);
+        device.write(OWNER, CONTROL, &[0, 0, 0, 2], 0).expect("nobody has control");
+        device
+    }
+
+    fn set(device: &mut Device, feature: &str, bytes: &[u8]) -> Result<Option<Effect>, Status> {
+        let address = device.address_of(feature).expect("the feature is there");
+        device.write(OWNER, address, bytes, 2 * SECOND)
+    }
+
+    #[test]
+    fn doubles_may_come_in_halves() {
+        let mut device = device(Preset::Generic);
+        let address = device.address_of("ExposureTime").unwrap();
+        let bytes = 25.0_f64.to_be_bytes();
+        // 1000.0 with the upper half of 25.0 is 25.0 already: its lower half is zero, as that of 1000.0.
+        device.write(OWNER, address, &bytes[..4], 0).unwrap();
+        device.write(OWNER, address + 4, &bytes[4..], 0).unwrap();
+        assert!((device.plan().settings.integration_s - 25e-6).abs() < 1e-15);
+        // A half that makes nonsense is refused and changes nothing.
+        assert_eq!(device.write(OWNER, address, &[0xFF; 4], 0), Err(Status::InvalidParameter));
+        assert!((device.plan().settings.integration_s - 25e-6).abs() < 1e-15);
+    }
+
+    #[test]
+    fn regions_never_leave_the_detector() {
+        let mut device = device(Preset::Telops);
+        let put = |device: &mut Device, name: &str, value: u32| set(device, name, &value.to_be_bytes());
+        assert_eq!(put(&mut device, "OffsetY", 1), Err(Status::InvalidParameter));
+        put(&mut device, "Height", 102).unwrap();
+        put(&mut device, "OffsetY", 412).unwrap();
+        assert_eq!(put(&mut device, "Height", 103), Err(Status::InvalidParameter));
+        assert_eq!(put(&mut device, "Height", 2), Err(Status::InvalidParameter));
+        assert_eq!(put(&mut device, "Width", 60), Err(Status::InvalidParameter));
+        let layout = device.plan().layout;
+        assert_eq!((layout.rows, layout.header_rows, layout.offset_y), (100, 2, 412));
+    }
+
+    #[test]
+    fn what_lies_behind_a_selector_stays_apart() {
+        let mut device = device(Preset::Telops);
+        let mut put = |name: &str, value: u32| set(&mut device, name, &value.to_be_bytes()).unwrap();
+        put("TriggerSelector", 2);
+        put("TriggerMode", 1);
+        put("TriggerSource", 48);
+        put("TriggerSelector", 0);
+        assert_eq!(device.trigger(), Trigger::Free);
+        let mut put = |name: &str, value: u32| set(&mut device, name, &value.to_be_bytes()).unwrap();
+        put("TriggerMode", 1);
+        put("TriggerSelector", 1);
+        assert_eq!(device.trigger(), Trigger::Software);
+        set(&mut device, "TriggerSelector", &[0; 4]).unwrap();
+        set(&mut device, "TriggerSource", &48_u32.to_be_bytes()).unwrap();
+        assert_eq!(device.trigger(), Trigger::External);
+    }
+
+    #[test]
+    fn locked_while_the_stream_runs_and_cold_before_it_does() {
+        let mut device = device(Preset::Generic);
+        let start = device.address_of("AcquisitionStart").unwrap();
+        let one = [0, 0, 0, 1];
+        assert_eq!(device.write(OWNER, start, &one, SECOND / 2), Err(Status::Busy));
+        assert_eq!(device.write(OWNER, start, &one, SECOND), Ok(Some(Effect::Start)));
+        device.set_acquiring(true, SECOND);
+        assert_eq!(device.write(OWNER, start, &one, SECOND), Ok(None));
+        assert_eq!(set(&mut device, "Width", &[0, 0, 1, 0]), Err(Status::Busy));
+        assert_eq!(device.write(OWNER, PACKET_SIZE, &[0, 0, 5, 0], SECOND), Err(Status::Busy));
+        // Closing the stream's port stops it.
+        assert_eq!(device.write(OWNER, STREAM_PORT, &[0; 4], SECOND), Ok(Some(Effect::Stop)));
+        // The clock's reset does not warm the camera up.
+        device.set_acquiring(false, SECOND);
+        assert_eq!(
+            device.write(OWNER, TIMESTAMP_CONTROL, &[0, 0, 0, 1], SECOND),
+            Ok(Some(Effect::ClockReset))
+        );
+        assert_eq!(device.write(OWNER, start, &one, 0), Ok(Some(Effect::Start)));
+    }
+
+    #[test]
+    fn names_are_cut_and_initial_values_kept_over_a_restart() {
+        let mut device = device(Preset::Flir);
+        assert_eq!(&device.discovery()[0x68..0x88], b"a model with a name of more tha\0");
+        assert_eq!(device.plan().frames_max, Some(1));
+        set(&mut device, "AcquisitionMode", &[0; 4]).unwrap();
+        assert_eq!(device.plan().frames_max, None);
+        device.power_on(5 * SECOND);
+        assert_eq!((device.plan().frames_max, device.controller()), (Some(1), None));
+    }
+
+    /// No address and no length makes it panic, whoever asks.
+    #[test]
+    fn every_address_can_be_asked_for() {
+        let mut device = device(Preset::Generic);
+        let addresses = (0..0x1100).chain(0x0001_0000..0x0001_0400).chain(0x0010_0000..0x0010_0040);
+        for address in addresses.chain([0x7FFF_FFFC, u32::MAX - 3, u32::MAX]) {
+            for count in [0, 1, 4, 8, 536] {
+                let read = device.read(OWNER, address, count, SECOND);
+                assert!(read.is_err() || read.is_ok_and(|bytes| bytes.len() == count as usize));
+            }
+            for bytes in [&[][..], &[0; 4], &[0xFF; 4], &[0xFF; 8], &[0; 536]] {
+                if address != CONTROL {
+                    let _ = device.write(OWNER, address, bytes, SECOND);
+                }
+            }
+        }
     }
 }

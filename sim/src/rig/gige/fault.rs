@@ -5,6 +5,7 @@
 
 use crate::rig::line::check_seconds;
 use serde::{Deserialize, Serialize};
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
 /// A fault. Frames are counted from 0 over the life of the camera, whether they were sent or not; answers from 1.
@@ -178,30 +179,30 @@ fn check_delay(delay_s: f64) -> Result<(), String> {
 
 /// What happens to a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct PacketFate {
+pub(super) struct PacketFate {
     /// It does not come.
-    pub lost: bool,
+    pub(super) lost: bool,
     /// It comes behind the next one.
-    pub swapped: bool,
+    pub(super) swapped: bool,
     /// It comes twice.
-    pub doubled: bool,
+    pub(super) doubled: bool,
     /// It is cut to half its length.
-    pub cut: bool,
+    pub(super) cut: bool,
     /// It comes so much later.
-    pub late: Option<Duration>,
+    pub(super) late: Option<Duration>,
 }
 
 /// Which packet is meant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PacketKey {
+pub(super) struct PacketKey {
     /// Ordinal of its frame.
-    pub frame: u64,
+    pub(super) frame: u64,
     /// Its number in the block.
-    pub packet: u32,
+    pub(super) packet: u32,
     /// Number of packets of the block.
-    pub packets: u32,
+    pub(super) packets: u32,
     /// How often the frame's packets were asked for again; 0 when first sent.
-    pub attempt: u32,
+    pub(super) attempt: u32,
 }
 
 /// What a draw is for: keeps faults of one packet independent of each other.
@@ -215,25 +216,34 @@ enum Draw {
     Late = 6,
 }
 
-/// The faults that a camera plays.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Faults {
-    list: Vec<GigeFault>,
+/// The faults that a camera plays; others can be put in their place while it runs.
+#[derive(Debug)]
+pub(super) struct Faults {
+    list: RwLock<Arc<[GigeFault]>>,
     seed: u64,
 }
 
 impl Faults {
     /// Faults that have been checked.
-    pub fn new(list: Vec<GigeFault>, seed: u64) -> Self {
-        Self { list, seed }
+    pub(super) fn new(list: Vec<GigeFault>, seed: u64) -> Self {
+        Self { list: RwLock::new(list.into()), seed }
+    }
+
+    /// Plays these from now on, and no longer the earlier ones.
+    pub(super) fn replace(&self, list: Vec<GigeFault>) {
+        *self.list.write().unwrap_or_else(PoisonError::into_inner) = list.into();
+    }
+
+    fn list(&self) -> Arc<[GigeFault]> {
+        Arc::clone(&self.list.read().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// What happens to a packet.
-    pub fn packet(&self, key: PacketKey) -> PacketFate {
+    pub(super) fn packet(&self, key: PacketKey) -> PacketFate {
         let mut fate = PacketFate::default();
         let hits = |probability: f64, draw: Draw| probability > self.uniform(key, draw);
         let is_payload = key.packet > 0 && key.packet + 1 < key.packets;
-        for fault in &self.list {
+        for fault in self.list().iter() {
             match fault {
                 GigeFault::PacketLoss { probability } => fate.lost |= hits(*probability, Draw::Packet),
                 GigeFault::LoseLeader { frame } => fate.lost |= key.frame == *frame && key.packet == 0,
@@ -255,9 +265,9 @@ impl Faults {
     }
 
     /// Whether a frame is lost whole.
-    pub fn loses_frame(&self, frame: u64) -> bool {
+    pub(super) fn loses_frame(&self, frame: u64) -> bool {
         let key = PacketKey { frame, packet: 0, packets: 0, attempt: 0 };
-        self.list.iter().any(|fault| match fault {
+        self.list().iter().any(|fault| match fault {
             GigeFault::FrameLoss { probability } => *probability > self.uniform(key, Draw::Frame),
             GigeFault::LoseFrame { frame: which } => *which == frame,
             _ => false,
@@ -265,8 +275,8 @@ impl Faults {
     }
 
     /// By how much the block id jumps at a frame.
-    pub fn id_jump(&self, frame: u64) -> u64 {
-        self.list
+    pub(super) fn id_jump(&self, frame: u64) -> u64 {
+        self.list()
             .iter()
             .map(|fault| match fault {
                 GigeFault::IdJump { frame: at, by } if *at == frame => *by,
@@ -276,13 +286,13 @@ impl Faults {
     }
 
     /// The first block id of a stream.
-    pub fn first_id(&self) -> u64 {
+    pub(super) fn first_id(&self) -> u64 {
         self.find(|fault| if let GigeFault::IdStart { id } = fault { Some(*id) } else { None }).unwrap_or(1)
     }
 
     /// By how much the stream's clock is off at a frame, in nanoseconds.
-    pub fn clock_error_ns(&self, frame: u64) -> i64 {
-        self.list
+    pub(super) fn clock_error_ns(&self, frame: u64) -> i64 {
+        self.list()
             .iter()
             .map(|fault| match fault {
                 GigeFault::TimestampStep { frame: from, step_ns } if frame >= *from => *step_ns,
@@ -292,7 +302,7 @@ impl Faults {
     }
 
     /// How long the stream stalls when it comes to a frame.
-    pub fn stall(&self, frame: u64) -> Option<Duration> {
+    pub(super) fn stall(&self, frame: u64) -> Option<Duration> {
         self.find(|fault| match fault {
             GigeFault::Stall { frame: at, duration_s } if *at == frame => {
                 Some(Duration::from_secs_f64(*duration_s))
@@ -302,7 +312,7 @@ impl Faults {
     }
 
     /// How long the camera is silent if it restarts before a frame.
-    pub fn restart(&self, frame: u64) -> Option<Duration> {
+    pub(super) fn restart(&self, frame: u64) -> Option<Duration> {
         self.find(|fault| match fault {
             GigeFault::Restart { frame: at, silent_s } if *at == frame => {
                 Some(Duration::from_secs_f64(*silent_s))
@@ -312,7 +322,7 @@ impl Faults {
     }
 
     /// After how much control commands no longer count as heartbeats.
-    pub fn heartbeat_ignored(&self) -> Option<Duration> {
+    pub(super) fn heartbeat_ignored(&self) -> Option<Duration> {
         self.find(|fault| match fault {
             GigeFault::HeartbeatIgnored { after_s } => Some(Duration::from_secs_f64(*after_s)),
             _ => None,
@@ -320,19 +330,19 @@ impl Faults {
     }
 
     /// The pixel format that leaders name instead of the register's.
-    pub fn pixel_format(&self) -> Option<u32> {
+    pub(super) fn pixel_format(&self) -> Option<u32> {
         self.find(|fault| if let GigeFault::WrongPixelFormat { code } = fault { Some(*code) } else { None })
     }
 
     /// Whether a fault without keys is played.
-    pub fn has(&self, fault: &GigeFault) -> bool {
-        self.list.contains(fault)
+    pub(super) fn has(&self, fault: &GigeFault) -> bool {
+        self.list().contains(fault)
     }
 
     /// What happens to the `ordinal`-th acknowledge: `None`: lost; else how late it is.
-    pub fn answer(&self, ordinal: u64) -> Option<Duration> {
+    pub(super) fn answer(&self, ordinal: u64) -> Option<Duration> {
         let mut late = Duration::ZERO;
-        for fault in &self.list {
+        for fault in self.list().iter() {
             match fault {
                 GigeFault::AnswerLost { every } if ordinal.is_multiple_of(*every) => return None,
                 GigeFault::AnswerLate { every, delay_s } if ordinal.is_multiple_of(*every) => {
@@ -345,7 +355,7 @@ impl Faults {
     }
 
     fn find<T>(&self, pick: impl Fn(&GigeFault) -> Option<T>) -> Option<T> {
-        self.list.iter().find_map(pick)
+        self.list().iter().find_map(pick)
     }
 
     /// A number from 0 to below 1 for this packet and purpose.

@@ -237,7 +237,7 @@ mod tests {
             offset_x: 4,
             offset_y: 2,
         };
-        let payload: Vec<u8> = (0..payload).map(|i| (i % 251) as u8).collect();
+        let payload: Vec<u8> = (0..=250).cycle().take(payload).collect();
         let present_bytes = payload.len();
         Block { id: 0x1234, ids, leader, payload, packet_bytes, present_bytes }
     }

@@ -17,7 +17,28 @@
 //! Numbers: the clock ticks once a nanosecond (10⁹ ticks a second); block ids begin with 1 at every start and
 //! rise by one per frame, by more when the camera behind lost one; [`RESEND_BYTES_MAX`] bytes of frames are kept
 //! for resend requests.
+//!
+//! ```no_run
+//! use ditd_sim::rig::gige::pattern::PatternCamera;
+//! use ditd_sim::rig::gige::{GigeCamera, GigeFault, Preset, Sensor};
+//!
+//! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
+//! let (pulses, taken) = tokio::sync::mpsc::channel(8);
+//! let camera = PatternCamera::new(512, 640, 14, taken);
+//! let sensor = Sensor { rows: 512, columns: 640, bits: 14, shutter: true };
+//! let server = GigeCamera::new(Box::new(camera), sensor)
+//!     .preset(Preset::Flir)
+//!     .pulses(pulses)
+//!     .faults(vec![GigeFault::PacketLoss { probability: 0.01 }], 1)
+//!     .serve("127.0.0.7".parse()?)
+//!     .await?;
+//! // … a client streams …
+//! assert_eq!(server.stats().spoilings, 0);
+//! # Ok(())
+//! # }
+//! ```
 
+mod bootstrap;
 mod control;
 mod device;
 pub mod fault;
@@ -25,8 +46,11 @@ mod feature;
 mod gvcp;
 mod gvsp;
 mod image;
+mod outlet;
 pub mod pattern;
+mod plan;
 pub mod presets;
+mod profile;
 mod server;
 mod stats;
 mod stream;
@@ -35,7 +59,7 @@ mod tests;
 mod xml;
 
 pub use fault::GigeFault;
+pub use outlet::RESEND_BYTES_MAX;
 pub use presets::{Preset, Sensor};
 pub use server::{GigeCamera, GigeServer};
 pub use stats::GigeStats;
-pub use stream::RESEND_BYTES_MAX;

@@ -16,6 +16,11 @@ const WHO: &str = "pattern camera";
 /// Temperature of the shutter, in kelvin.
 const SHUTTER_K: f64 = 300.0;
 
+/// Least and greatest count of the pattern.
+const FIRST: u16 = 1000;
+/// See [`FIRST`].
+const LAST: u16 = 8191;
+
 /// Count that a closed shutter shows.
 pub const SHUTTER_COUNT: u16 = 700;
 
@@ -44,10 +49,24 @@ impl PatternCamera {
 /// The count of a pixel of frame `id`: rises by one from column to column and by three from row to row and from frame to
 /// frame, from 1000 to 8191. Fits into 13 bits.
 pub fn pattern_count(id: u64, row: usize, column: usize) -> u16 {
-    let phase = id.wrapping_mul(3).wrapping_add(3 * row as u64 + column as u64) % 7192;
+    let steps = u64::from(LAST - FIRST) + 1;
+    let phase = (3 * (id % steps) + 3 * row as u64 + column as u64) % steps;
     #[expect(clippy::cast_possible_truncation, reason = "below 8192")]
-    let count = 1000 + phase as u16;
+    let count = FIRST + phase as u16;
     count
+}
+
+/// The whole picture of frame `id`.
+fn pattern(id: u64, rows: usize, columns: usize) -> Vec<u16> {
+    let mut counts = Vec::with_capacity(rows * columns);
+    for row in 0..rows {
+        let mut count = pattern_count(id, row, 0);
+        for _ in 0..columns {
+            counts.push(count);
+            count = if count == LAST { FIRST } else { count + 1 };
+        }
+    }
+    counts
 }
 
 #[async_trait]
@@ -121,11 +140,11 @@ impl Camera for PatternCamera {
         let id = self.exposures;
         self.exposures += 1;
         let (rows, columns) = (self.settings.rows, self.settings.columns);
-        let count = |row, column| {
-            if self.shutter_closed { SHUTTER_COUNT } else { pattern_count(id, row, column) }
+        let counts = if self.shutter_closed {
+            vec![SHUTTER_COUNT; rows * columns]
+        } else {
+            pattern(id, rows, columns)
         };
-        let counts = (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column)));
-        let counts: Vec<u16> = counts.map(|(row, column)| count(row, column)).collect();
         Ok(Frame { id, device_ns, rows, columns, counts: counts.into(), complete: true })
     }
 
@@ -137,5 +156,21 @@ impl Camera for PatternCamera {
 
     async fn make_safe(&mut self) -> Result<(), DriverError> {
         self.stop().await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn picture_and_single_counts_agree() {
+        let (rows, columns) = (40, 640);
+        for id in [0, 2300, u64::MAX] {
+            let picture = pattern(id, rows, columns);
+            for (place, &count) in picture.iter().enumerate() {
+                assert_eq!(count, pattern_count(id, place / columns, place % columns), "{id} {place}");
+            }
+        }
     }
 }

@@ -4,12 +4,14 @@
 //! may live on the same one. Nothing here knows a register or a packet.
 
 use super::control::{Clock, Control};
-use super::device::{Device, Profile};
+use super::device::Device;
 use super::fault::{Faults, GigeFault};
 use super::gvcp;
+use super::outlet::{Late, Outlet, Ring};
 use super::presets::{Preset, Sensor};
+use super::profile::Profile;
 use super::stats::{GigeStats, Shared};
-use super::stream::{Flags, Late, Log, Outlet, Pulser, Ring, Streamer};
+use super::stream::{Flags, Log, Pulser, Streamer};
 use crate::rig::RigError;
 use crate::rig::pulse::Pulse;
 use ditd_drivers::instrument::{Camera, Identity};
@@ -172,13 +174,14 @@ impl GigeCamera {
             flags: flags.clone(),
             log: Arc::clone(&self.log),
             frames: 0,
+            runs: 0,
         };
         let device = Device::new(profile, clock.raw_ns());
         let control = Control::new(device, socket, clock, orders, outlet, ring, pulser, flags, self.log);
         let (off, switched_off) = oneshot::channel();
         let control = tokio::spawn(control.live(reports, switched_off));
         let camera = tokio::spawn(streamer.live());
-        GigeServer { address, stats, off: Some(off), control, camera: Some(camera) }
+        GigeServer { address, stats, faults, off: Some(off), control, camera: Some(camera) }
     }
 }
 
@@ -208,6 +211,7 @@ fn port_of(socket: &UdpSocket) -> Result<u16, RigError> {
 pub struct GigeServer {
     address: SocketAddrV4,
     stats: Shared,
+    faults: Arc<Faults>,
     off: Option<oneshot::Sender<()>>,
     control: JoinHandle<()>,
     camera: Option<JoinHandle<Box<dyn Camera>>>,
@@ -222,6 +226,17 @@ impl GigeServer {
     /// What it has done so far.
     pub fn stats(&self) -> GigeStats {
         self.stats.read()
+    }
+
+    /// Plays these faults from now on, and no longer the earlier ones; none: all is well again. Frames go on being counted
+    /// from switching on ([`GigeStats::frames`]).
+    ///
+    /// # Errors
+    /// [`RigError::Config`] for a fault that cannot be played; the earlier ones go on.
+    pub fn play(&self, faults: Vec<GigeFault>) -> Result<(), RigError> {
+        faults.iter().try_for_each(GigeFault::check).map_err(|why| config("camera.fault", why))?;
+        self.faults.replace(faults);
+        Ok(())
     }
 
     /// Switches it off and gives the camera behind back, stopped; `None` when its task has died.

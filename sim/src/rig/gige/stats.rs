@@ -66,6 +66,21 @@ pub struct GigeStats {
     pub spoilings: u64,
 }
 
+impl GigeStats {
+    /// Adds what was counted while packets were sent.
+    pub(super) fn add_packets(&mut self, tally: &Self) {
+        self.packets_sent += tally.packets_sent;
+        self.packets_failed += tally.packets_failed;
+        self.packets_dropped += tally.packets_dropped;
+        self.packets_swapped += tally.packets_swapped;
+        self.packets_doubled += tally.packets_doubled;
+        self.packets_cut += tally.packets_cut;
+        self.packets_late += tally.packets_late;
+        self.packets_resent += tally.packets_resent;
+        self.packets_refused += tally.packets_refused;
+    }
+}
+
 /// Stats that several tasks write.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Shared(Arc<Mutex<GigeStats>>);

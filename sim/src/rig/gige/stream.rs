@@ -1,44 +1,27 @@
-//! The stream's side of the camera: frames from the camera behind, cut into packets and sent; packets sent again.
+//! The stream's side of the camera: frames from the camera behind, made into blocks and sent; triggers made.
 //!
 //! One task owns the camera behind. It obeys orders between frames; while it waits for a frame it looks for orders
 //! every 20 ms, because an exchange with an instrument is never dropped half-way. Frames that are not taken in time
 //! stay in the camera's own queue.
 
-use super::device::Plan;
-use super::fault::{Faults, PacketKey};
-use super::gvcp::ResendRange;
-use super::gvsp::{Block, IdMode, Leader, unavailable};
+use super::gvsp::{Block, Leader};
 use super::image::Stamp;
-use super::stats::{GigeStats, Shared};
+use super::outlet::{Outlet, Ring};
+use super::plan::{Plan, Trigger};
+use super::stats::Shared;
 use crate::rig::pulse::Pulse;
 use ditd_drivers::error::DriverError;
 use ditd_drivers::instrument::{Camera, CameraSettings, Frame};
 use ditd_drivers::quantity::Kelvin;
-use std::collections::VecDeque;
-use std::net::{SocketAddr, SocketAddrV4};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tokio::net::UdpSocket;
-use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, sleep_until};
 
-/// Payload bytes kept for resend requests: 25 frames of 640 × 512 pixels of two bytes. Beyond, the oldest frame goes,
-/// and requests for it are answered with PACKET_UNAVAILABLE.
-pub const RESEND_BYTES_MAX: usize = 16 << 20;
-
-/// Datagrams on their way late at the same time; beyond, they are lost.
-const LATE_MAX: usize = 4096;
-
-/// Packets that one resend request can ask for; the rest of it is ignored.
-const RESEND_PACKETS_MAX: u32 = 8192;
-
 /// How long the task waits for a frame before it looks for orders.
 const FRAME_POLL: Duration = Duration::from_millis(20);
-
-/// Grain of the clock: shorter pauses between packets are made up for by sending several at once.
-const PAUSE_GRAIN: Duration = Duration::from_millis(1);
 
 /// How long a non-uniformity correction keeps the shutter closed.
 const CORRECTION: Duration = Duration::from_millis(500);
@@ -62,7 +45,8 @@ pub(super) enum Act {
 /// What an act has led to.
 #[derive(Debug)]
 pub(super) enum Outcome {
-    Started(CameraSettings),
+    /// What the camera took, and the number of the stream.
+    Started(CameraSettings, u64),
     Stopped,
     Shutter(bool, Option<Kelvin>),
     Corrected,
@@ -70,211 +54,10 @@ pub(super) enum Outcome {
 
 /// What the task tells the control side unasked.
 pub(super) enum Report {
-    /// The stream has ended by itself.
-    Ended,
+    /// The stream of this number has ended by itself.
+    Ended(u64),
     /// The camera restarts and is silent for so long.
     Restart(Duration),
-}
-
-/// Sends packets, whole or as the faults have it.
-#[derive(Clone)]
-pub(super) struct Outlet {
-    pub(super) socket: Arc<UdpSocket>,
-    pub(super) faults: Arc<Faults>,
-    pub(super) stats: Shared,
-    pub(super) late: Late,
-}
-
-/// Datagrams on their way late.
-#[derive(Clone)]
-pub(super) struct Late(Arc<Semaphore>);
-
-impl Late {
-    pub(super) fn new() -> Self {
-        Self(Arc::new(Semaphore::new(LATE_MAX)))
-    }
-
-    /// Sends a datagram after `delay`.
-    pub(super) fn send(&self, socket: &Arc<UdpSocket>, bytes: Vec<u8>, to: SocketAddr, delay: Duration) {
-        let Ok(permit) = Arc::clone(&self.0).try_acquire_owned() else { return };
-        let socket = Arc::clone(socket);
-        tokio::spawn(async move {
-            sleep(delay).await;
-            // A client that has gone does not matter any more.
-            let _ = socket.send_to(&bytes, to).await;
-            drop(permit);
-        });
-    }
-}
-
-impl Outlet {
-    async fn send(&self, bytes: &[u8], to: SocketAddrV4, tally: &mut GigeStats) {
-        match self.socket.send_to(bytes, to).await {
-            Ok(_) => tally.packets_sent += 1,
-            Err(_) => tally.packets_failed += 1,
-        }
-    }
-
-    /// Sends one packet that lies in `bytes`; false when it is to come behind the next one.
-    async fn send_packet(
-        &self,
-        key: PacketKey,
-        bytes: &mut Vec<u8>,
-        to: SocketAddrV4,
-        tally: &mut GigeStats,
-    ) -> bool {
-        let fate = self.faults.packet(key);
-        if fate.lost {
-            tally.packets_dropped += 1;
-            return true;
-        }
-        if fate.cut {
-            tally.packets_cut += 1;
-            bytes.truncate(bytes.len() / 2);
-        }
-        if let Some(delay) = fate.late {
-            tally.packets_late += 1;
-            self.late.send(&self.socket, bytes.clone(), to.into(), delay);
-            return true;
-        }
-        if fate.swapped {
-            tally.packets_swapped += 1;
-            return false;
-        }
-        self.send(bytes, to, tally).await;
-        if fate.doubled {
-            tally.packets_doubled += 1;
-            self.send(bytes, to, tally).await;
-        }
-        true
-    }
-
-    /// Sends a block, at least `delay_ns` from packet to packet on average.
-    async fn send_block(&self, block: &Block, frame: u64, to: SocketAddrV4, delay_ns: u64) {
-        let mut tally = GigeStats::default();
-        let packets = block.packets();
-        let mut bytes = Vec::with_capacity(block.packet_bytes);
-        let mut held: Option<Vec<u8>> = None;
-        let start = Instant::now();
-        for packet in 0..packets {
-            if delay_ns > 0 {
-                let due = start + Duration::from_nanos(delay_ns.saturating_mul(u64::from(packet)));
-                if due.duration_since(Instant::now()) > PAUSE_GRAIN {
-                    sleep_until(due).await;
-                }
-            }
-            if !block.write_packet(packet, &mut bytes) {
-                continue;
-            }
-            let key = PacketKey { frame, packet, packets, attempt: 0 };
-            if self.send_packet(key, &mut bytes, to, &mut tally).await {
-                if let Some(earlier) = held.take() {
-                    self.send(&earlier, to, &mut tally).await;
-                }
-            } else if let Some(earlier) = held.replace(bytes.clone()) {
-                self.send(&earlier, to, &mut tally).await;
-            }
-        }
-        if let Some(last) = held {
-            self.send(&last, to, &mut tally).await;
-        }
-        self.stats.note(|stats| {
-            stats.frames_sent += 1;
-            stats.packets_sent += tally.packets_sent;
-            stats.packets_failed += tally.packets_failed;
-            stats.packets_dropped += tally.packets_dropped;
-            stats.packets_swapped += tally.packets_swapped;
-            stats.packets_doubled += tally.packets_doubled;
-            stats.packets_cut += tally.packets_cut;
-            stats.packets_late += tally.packets_late;
-        });
-    }
-
-    /// Answers a resend request.
-    pub(super) async fn resend(&self, ring: &Ring, range: ResendRange, ids: IdMode, to: SocketAddrV4) {
-        let mut tally = GigeStats::default();
-        let found = ring.find(range.block);
-        let packets = found.as_ref().map_or(0, |(block, ..)| block.packets());
-        // The standard lets the last packet be all ones: to the end of the block.
-        let last = range.last.min(packets.max(range.first + 1).saturating_sub(1));
-        let last = last.min(range.first.saturating_add(RESEND_PACKETS_MAX - 1));
-        let mut bytes = Vec::new();
-        for packet in range.first..=last {
-            let written = match &found {
-                Some((block, ..)) => block.write_packet(packet, &mut bytes),
-                None => false,
-            };
-            if let (true, Some((_, frame, attempt))) = (written, &found) {
-                let key = PacketKey { frame: *frame, packet, packets, attempt: *attempt };
-                if !self.send_packet(key, &mut bytes, to, &mut tally).await {
-                    self.send(&bytes, to, &mut tally).await;
-                }
-                tally.packets_resent += 1;
-            } else {
-                self.refuse(range.block, packet, ids, to, &mut tally).await;
-            }
-        }
-        self.note_resend(&tally);
-    }
-
-    /// Answers a resend request with a refusal of every packet.
-    pub(super) async fn refuse_resend(&self, range: ResendRange, ids: IdMode, to: SocketAddrV4) {
-        let mut tally = GigeStats::default();
-        let last = range.last.min(range.first.saturating_add(RESEND_PACKETS_MAX - 1));
-        for packet in range.first..=last {
-            self.refuse(range.block, packet, ids, to, &mut tally).await;
-        }
-        self.note_resend(&tally);
-    }
-
-    async fn refuse(&self, block: u64, packet: u32, ids: IdMode, to: SocketAddrV4, tally: &mut GigeStats) {
-        tally.packets_refused += 1;
-        self.send(&unavailable(ids, block, packet), to, tally).await;
-    }
-
-    fn note_resend(&self, tally: &GigeStats) {
-        self.stats.note(|stats| {
-            stats.packets_sent += tally.packets_sent;
-            stats.packets_failed += tally.packets_failed;
-            stats.packets_dropped += tally.packets_dropped;
-            stats.packets_resent += tally.packets_resent;
-            stats.packets_refused += tally.packets_refused;
-        });
-    }
-}
-
-/// The last frames, for resend requests.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Ring(Arc<Mutex<VecDeque<Kept>>>);
-
-#[derive(Debug)]
-struct Kept {
-    block: Arc<Block>,
-    frame: u64,
-    attempts: u32,
-}
-
-impl Ring {
-    fn keep(&self, block: Arc<Block>, frame: u64) {
-        let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        ring.push_back(Kept { block, frame, attempts: 0 });
-        let mut bytes: usize = ring.iter().map(|kept| kept.block.payload.len()).sum();
-        while bytes > RESEND_BYTES_MAX && ring.len() > 1 {
-            bytes -= ring.pop_front().map_or(0, |kept| kept.block.payload.len());
-        }
-    }
-
-    /// The youngest block with this id, the ordinal of its frame, and how often it was asked for, this time included.
-    fn find(&self, id: u64) -> Option<(Arc<Block>, u64, u32)> {
-        let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let kept = ring.iter_mut().rev().find(|kept| kept.block.id == id)?;
-        kept.attempts = kept.attempts.saturating_add(1);
-        Some((Arc::clone(&kept.block), kept.frame, kept.attempts))
-    }
-
-    pub(super) fn clear(&self) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
-    }
 }
 
 /// Makes triggers for the camera behind.
@@ -337,6 +120,8 @@ pub(super) struct Streamer {
     pub(super) log: Log,
     /// Frames so far over the life of the camera.
     pub(super) frames: u64,
+    /// Streams so far.
+    pub(super) runs: u64,
 }
 
 /// A stream that runs.
@@ -402,13 +187,14 @@ impl Streamer {
                 let taken = self.camera.prepare(&plan.settings).await.map_err(|error| error.to_string())?;
                 self.camera.start().await.map_err(|error| error.to_string())?;
                 self.ring.clear();
-                let free = plan.trigger == super::device::Trigger::Free && self.pulser.pulses.is_some();
+                let free = plan.trigger == Trigger::Free && self.pulser.pulses.is_some();
                 let clock = free.then(|| tokio::spawn(self.pulser.clone().run(plan.rate_hz)));
                 let mut plan = *plan;
                 plan.layout.integration_s = taken.integration_s;
+                self.runs += 1;
                 *run = Some(Run { plan, last: None, frames: 0, stalled_until: None, clock });
                 self.outlet.stats.note(|stats| stats.streams += 1);
-                Ok(Outcome::Started(taken))
+                Ok(Outcome::Started(taken, self.runs))
             }
             Act::Stop => {
                 *run = None;
@@ -442,7 +228,7 @@ impl Streamer {
             Err(DriverError::Silent { .. }) => return None,
             Err(error) => {
                 (self.log)(&format!("camera on the network: the stream ends: {error}"));
-                return Some(Report::Ended);
+                return Some(Report::Ended(self.runs));
             }
         };
         let ordinal = self.frames;
@@ -455,7 +241,7 @@ impl Streamer {
             Ok(block) => block,
             Err(why) => {
                 (self.log)(&format!("camera on the network: the stream ends: {why}"));
-                return Some(Report::Ended);
+                return Some(Report::Ended(self.runs));
             }
         };
         if let Some(block) = block {
@@ -466,7 +252,7 @@ impl Streamer {
             }
         }
         run.frames += 1;
-        run.plan.frames_max.is_some_and(|max| run.frames >= max).then_some(Report::Ended)
+        run.plan.frames_max.is_some_and(|max| run.frames >= max).then_some(Report::Ended(self.runs))
     }
 
     /// The block of a frame; `None` when a fault takes it whole.
