@@ -218,6 +218,50 @@ fn temperatures_come_out_within_a_few_kelvin_of_the_truth() {
     assert!((0.5..2.0).contains(&(rms / claimed)), "rms {rms} K, claimed {claimed} K");
 }
 
+/// The seam of the trigger unit: another unit, which makes its pauses in another way, leaves the same labels in the same
+/// order, and the same map as far as the noise lets tell.
+#[test]
+fn another_trigger_unit_gives_the_same_labels_and_the_same_map() {
+    let (one, other) = (spray(), Preset::spray().with("trigger.driver", "\"dg645\"").run().done());
+    let labels = |ran: &Ran| -> Vec<(u32, u32, u32, ShotKind, u64)> {
+        let records = ran.records().into_iter();
+        records
+            .filter_map(|record| match record {
+                Record::Frame { level, cycle, position, shot, camera_id, .. } => {
+                    Some((level, cycle, position, shot, camera_id))
+                }
+                _ => None,
+            })
+            .collect()
+    };
+    assert_eq!(labels(one), labels(&other));
+    assert_eq!(other.summary()["cycles"]["received"], 24);
+    assert_eq!(other.summary()["cycles"]["retaken"], 0);
+    let model = |ran: &Ran| {
+        ran.records().into_iter().find_map(|record| match record {
+            Record::Identity { instrument, identity } if instrument == "trigger" => Some(identity.model),
+            _ => None,
+        })
+    };
+    assert_eq!((model(one).as_deref(), model(&other).as_deref()), (Some("9528"), Some("DG645")));
+    let map = |ran: &Ran| arrays(&ran.path.join("result/dit.npz"));
+    let (a, b) = (map(one), map(&other));
+    for (name, sigma) in [("temperature_k", "sigma_temperature_k"), ("emissivity", "sigma_emissivity")] {
+        let (left, right) = (a[name].to_f64(), b[name].to_f64());
+        let (s, t) = (a[sigma].to_f64(), b[sigma].to_f64());
+        let emissivity = a["emissivity"].to_f64();
+        let seen: Vec<f64> = (0..left.len())
+            .filter(|&i| emissivity[i] > 0.3 && left[i].is_finite() && right[i].is_finite())
+            .map(|i| (left[i] - right[i]) / s[i].hypot(t[i]))
+            .collect();
+        assert!(seen.len() > 30, "{} pixels", seen.len());
+        // Both runs draw the same shots, so that they differ by less than two independent ones would.
+        let rms = mean(seen.iter().map(|z| z * z)).sqrt();
+        eprintln!("{name}: the two units differ by {rms:.3} of their noise over {} pixels", seen.len());
+        assert!(rms < 1.0, "{name}: {rms}");
+    }
+}
+
 #[test]
 fn equal_seeds_give_equal_bytes_with_one_thread_and_with_two() {
     let files = |ran: &Ran| {

@@ -141,6 +141,97 @@ fn limits_and_impossible_combinations_are_refused_with_their_key() {
     }
 }
 
+/// What the trigger unit's driver would refuse before it sends anything is refused here too, by the same questions.
+#[test]
+fn what_may_not_be_triggered_is_refused_in_the_plan() {
+    for (line, replacement, key, words) in [
+        // Exposure and read-out overlap the next frame.
+        ("readout_s", "readout_s = 0.02", "campaign.frame_period_s", "overlap"),
+        ("integration_s", "integration_s = 0.019", "trigger.exposure_delay_s", "before the next clock pulse"),
+        // The injector is held open for longer than it may, or into the next period.
+        ("injection_s", "injection_s = 0.0051", "trigger.injection_s", "injection_limit_s"),
+        ("injection_limit_s", "injection_limit_s = 0.0009", "trigger.injection_s", "injection_limit_s"),
+        (
+            "injection_s",
+            "injection_s = 0.020\ninjection_limit_s = 1.0",
+            "trigger.injection_s",
+            "within one period",
+        ),
+        // Shots nearer than the chamber allows.
+        ("pause_s", "pause_s = 14.7", "campaign.pause_s", "injections"),
+        // The camera's pulse in the next period, or before its own.
+        ("exposure_delay_s", "exposure_delay_s = 0.0199", "trigger.exposure_delay_s", "before the next"),
+        ("exposure_delay_s", "exposure_delay_s = -0.001", "trigger.exposure_delay_s", "before the next"),
+        // Nothing, or less.
+        ("injection_s", "injection_s = 0.0", "trigger.injection_s", "positive"),
+        ("injection_s", "injection_s = -0.001", "trigger.injection_s", "positive"),
+        ("injection_s", "injection_s = nan", "trigger.injection_s", "positive"),
+        ("injection_s", "injection_s = 4e-9", "trigger.injection_s", "10 ns at least"),
+        ("integration_s", "integration_s = 4e-9", "trigger.exposure_delay_s", "10 ns at least"),
+        ("integration_s", "integration_s = 0.0", "camera.integration_s", "positive"),
+        // More than the unit counts, and more than anyone would wait for.
+        ("cycles = ", "cycles = 20000", "campaign.cycles", "counts from 1 to 9999999"),
+        ("cycles = ", "cycles = 4000000000", "campaign.cycles", "4·10⁹"),
+        ("cycles = ", "cycles = 0", "campaign.cycles", "at least one"),
+        ("driver = \"quantum_9520\"", "driver = \"quantum_9250\"", "trigger.driver", "quantum_9520, dg645"),
+    ] {
+        let text = with(line, replacement);
+        // A key that a replacement brings along must not be there twice.
+        let text = if replacement.contains('\n') {
+            let (once, _) = text.split_once("injection_limit_s = 0.005").unwrap();
+            format!("{once}{}", &text[once.len() + "injection_limit_s = 0.005".len()..])
+        } else {
+            text
+        };
+        let message = refusal(&text);
+        assert!(message.contains(&format!("`{key}`")), "{replacement}: {message}");
+        assert!(message.contains(words), "{replacement}: {message}");
+    }
+}
+
+/// The other unit has its own range: it counts the frames of a cycle only, but its period ends at 42.9 s.
+#[test]
+fn each_trigger_unit_has_its_own_range() {
+    let unit = "driver = \"quantum_9520\"";
+    let dg645 = |text: &str| text.replace(unit, "driver = \"dg645\"");
+    Config::parse("x.toml", &dg645(&quickstart())).unwrap();
+    Config::parse("x.toml", &dg645(&with("cycles = ", "cycles = 20000"))).unwrap();
+    let slow = with("frame_period_s", "frame_period_s = 43.0");
+    Config::parse("x.toml", &slow).unwrap();
+    let message = refusal(&dg645(&slow));
+    assert!(message.contains("`campaign.frame_period_s`") && message.contains("42.9 s"), "{message}");
+}
+
+/// What no source says of a real DG645 somebody must have seen.
+#[test]
+fn a_real_delay_generator_must_have_been_looked_at() {
+    let real = "driver = \"dg645\"\naddress = \"tcp:10.0.0.7:5025\"";
+    let text = quickstart().replace("driver = \"quantum_9520\"\naddress = \"sim\"", real);
+    assert!(text.contains(real));
+    let message = refusal(&text);
+    assert!(message.contains("prescaler_checked") && message.contains("oscilloscope"), "{message}");
+    Config::parse("x.toml", &text.replace(real, &format!("{real}\nprescaler_checked = true"))).unwrap();
+}
+
+#[test]
+fn check_draws_the_pulses_it_would_program() {
+    let folder = tempfile::tempdir().unwrap();
+    let check = |file: &str| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_ditd"));
+        command.args(["check", "quickstart", "--timing", file]).current_dir(folder.path()).output().unwrap()
+    };
+    let output = check("pulses.svg");
+    assert!(output.status.success(), "{output:?}");
+    let svg = std::fs::read_to_string(folder.path().join("pulses.svg")).unwrap();
+    for words in [">blank 4<", ">spray<", ">pause 15 s<", ">injection 1 ms<", ">exposure 25 µs<"] {
+        assert!(svg.contains(words), "{words}");
+    }
+    let shown = include_str!("../docs/images/timing.svg");
+    assert_eq!(svg, shown, "the drawing in the docs is the quickstart's");
+    let output = check("pulses.png");
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+}
+
 #[test]
 fn every_unknown_key_is_refused_in_every_table() {
     let text = quickstart();

@@ -257,6 +257,17 @@ fn trigger_fault(fault: &str) -> Preset {
     Preset::small().calibrated().with("rig.pulser.faults", &format!("[{fault}]"))
 }
 
+/// Both trigger units, as the campaign file names them.
+const DRIVERS: [&str; 2] = ["\"quantum_9520\"", "\"dg645\""];
+
+/// A time within the first burst, in the pause after so many cycles, from a run without faults.
+fn in_the_pause_after(cycles: usize, driver: &str) -> f64 {
+    let clean = run(&Preset::small().calibrated().with("trigger.driver", driver));
+    let sprays: Vec<u64> =
+        clean.pulses.iter().filter(|pulse| pulse.injector.is_some()).map(|pulse| pulse.at_ns).collect();
+    Duration::from_nanos(sprays[cycles - 1]).as_secs_f64() + 5.0
+}
+
 fn camera_fault(fault: &str) -> Preset {
     Preset::small().calibrated().with("rig.fault", &format!("[{fault}]"))
 }
@@ -266,6 +277,15 @@ fn without_a_fault_it_completes_and_is_safe() {
     let after = run(&Preset::small().calibrated());
     after.assert_complete().assert_safe().assert_labels();
     assert_eq!(after.retaken(), 0);
+}
+
+/// A unit that is begun cycle by cycle keeps the pauses and the distance of injections as well as one that counts them.
+#[test]
+fn the_other_trigger_unit_completes_and_is_safe() {
+    let after = run(&Preset::small().calibrated().with("trigger.driver", "\"dg645\""));
+    after.assert_complete().assert_safe().assert_labels();
+    assert_eq!(after.retaken(), 0);
+    assert_eq!(after.pulses.iter().filter(|pulse| pulse.injector.is_some()).count(), 9);
 }
 
 #[test]
@@ -329,12 +349,163 @@ fn bad_replies_of_the_calibrator_cost_no_label() {
 
 #[test]
 fn a_silent_trigger_unit_ends_with_status_3_and_names_the_cable() {
-    for from_s in ["0.0", "1000.0"] {
-        let after = run(&trigger_fault(&format!("{{ kind = \"drops-all-pulses\", from_s = {from_s} }}")));
+    for driver in DRIVERS {
+        for from_s in ["0.0", "1000.0"] {
+            let fault = format!("{{ kind = \"drops-all-pulses\", from_s = {from_s} }}");
+            let after = run(&trigger_fault(&fault).with("trigger.driver", driver));
+            assert_eq!(after.code(), 3, "{}", after.error());
+            let message = after.error().to_string();
+            assert!(message.contains("trigger cable") && message.contains("trigger unit"), "{message}");
+            after.assert_safe().assert_labels();
+        }
+    }
+}
+
+/// 4 frames a cycle: pulse 3 is the first spray, 4 the next cycle's first. The second one comes off the grid, exactly with
+/// the next frame, or in the place after a cycle's last.
+#[test]
+fn a_doubled_camera_pulse_is_taken_again_and_shifts_no_label() {
+    for driver in DRIVERS {
+        for (pulse, after_s) in
+            [(0, 0.005), (1, 0.005), (2, 0.02), (3, 0.02), (3, 0.005), (4, 0.02), (7, 0.5)]
+        {
+            let fault =
+                format!("{{ kind = \"doubles-camera-pulse\", pulse = {pulse}, after_s = {after_s:?} }}");
+            let after = run(&trigger_fault(&fault).with("trigger.driver", driver));
+            after.assert_complete().assert_safe().assert_labels();
+            assert_eq!(after.retaken(), 1, "{driver}, pulse {pulse}, {after_s} s");
+        }
+    }
+}
+
+/// A lost pulse and one too many in the same cycle: as many frames as there should be, and none of them counts.
+#[test]
+fn as_many_frames_as_planned_are_not_enough() {
+    for driver in DRIVERS {
+        for lost in [4, 5, 6] {
+            let faults = format!(
+                "{{ kind = \"drops-camera-pulse\", pulse = {lost} }}, \
+                 {{ kind = \"doubles-camera-pulse\", pulse = 7, after_s = 0.02 }}"
+            );
+            let after = run(&trigger_fault(&faults).with("trigger.driver", driver));
+            after.assert_complete().assert_safe().assert_labels();
+            // The second pulse is seen after its cycle was given up, and costs the next one.
+            assert!((1..=2).contains(&after.retaken()), "{driver}, pulse {lost}: {}", after.retaken());
+        }
+    }
+}
+
+/// A command that the unit does not obey, whether it says so or not, ends the campaign before a single wrong shot.
+#[test]
+fn a_command_that_is_not_obeyed_ends_safely() {
+    for (driver, command) in [
+        (DRIVERS[0], ":PULSE2:STATE 1"),
+        (DRIVERS[0], ":PULSE2:WCO"),
+        (DRIVERS[0], ":PULSE1:PCO"),
+        (DRIVERS[0], ":PULSE0:BCO"),
+        (DRIVERS[0], ":PULSE0:STATE 1"),
+        (DRIVERS[1], "PHAS 1"),
+        (DRIVERS[1], "PRES 1"),
+        (DRIVERS[1], "BURC"),
+        (DRIVERS[1], "LAMP 1,5"),
+        (DRIVERS[1], "DLAY 3"),
+        (DRIVERS[1], "*TRG"),
+    ] {
+        for fault in [
+            format!("{{ kind = \"ignores\", command = \"{command}\" }}"),
+            format!("{{ kind = \"refuses\", command = \"{command}\" }}"),
+        ] {
+            let after = run(&trigger_fault(&fault).with("trigger.driver", driver));
+            assert_eq!(after.code(), 1, "{fault}: {}", after.error());
+            let message = after.error().to_string();
+            assert!(message.contains("trigger unit at sim") && message.contains("refused"), "{message}");
+            after.assert_safe();
+            assert!(after.pulses.is_empty(), "{fault}: a pulse left the outputs");
+        }
+    }
+}
+
+/// An injector that cannot be switched off is told, whatever else went well.
+#[test]
+fn an_injector_that_does_not_go_off_is_told() {
+    for (driver, command) in [(DRIVERS[0], ":PULSE2:STATE 0"), (DRIVERS[1], "LAMP 1,0.5")] {
+        let fault = format!("{{ kind = \"ignores\", command = \"{command}\" }}");
+        let after = run(&trigger_fault(&fault).with("trigger.driver", driver));
+        assert_eq!(after.unconfirmed, 1, "{}", after.error());
+        assert!(after.error().to_string().contains("told"), "{}", after.error());
+        assert!(after.pulses.iter().all(|pulse| pulse.at_ns <= after.ended_ns));
+        after.assert_labels();
+    }
+}
+
+/// Its power fails in the pause of a burst, and it comes back with the settings of delivery. While it boots, no command
+/// with a star may lock it up (a 9520). What is lost is taken again, or the campaign ends and says why.
+#[test]
+fn a_trigger_unit_that_reboots_in_a_burst_shifts_no_label_and_ends_clearly() {
+    for driver in DRIVERS {
+        let at_s = in_the_pause_after(2, driver);
+        for boot_s in ["0.0", "3.0", "20.0", "120.0"] {
+            let fault = format!("{{ kind = \"reboots\", at_s = {at_s:?}, boot_s = {boot_s} }}");
+            let after = run(&trigger_fault(&fault).with("trigger.driver", driver));
+            after.assert_labels();
+            if after.ended.is_ok() {
+                after.assert_complete().assert_safe();
+                assert_eq!(after.retaken(), 1, "{driver}, {boot_s} s");
+                continue;
+            }
+            let message = after.error().to_string();
+            eprintln!("{driver}, boots {boot_s} s: {message}");
+            let says = ["stopped", "switched off and on", "no answer"];
+            assert!(says.iter().any(|words| message.contains(words)), "{driver}, {boot_s} s: {message}");
+            assert_eq!(after.reduced.levels[0].accepted, 2, "{driver}, {boot_s} s");
+            assert_eq!(after.pulses.iter().filter(|pulse| pulse.injector.is_some()).count(), 2);
+            if after.unconfirmed == 0 {
+                after.assert_safe();
+            } else {
+                assert!(message.contains("SAFE STATE COULD NOT BE CONFIRMED"), "{message}");
+                assert!(after.plate_at_end.settings.set_point_k < 309.0);
+            }
+        }
+    }
+}
+
+/// The line is pulled in a burst: what the unit does cannot be known, and that is said. A unit that makes its cycles by
+/// itself goes on and injects; one that is begun cycle by cycle does not.
+#[test]
+fn a_line_that_is_pulled_in_a_burst_is_told_and_stops_what_it_can() {
+    for driver in DRIVERS {
+        let at_s = in_the_pause_after(1, driver);
+        let fault = format!("{{ kind = \"line-pulled\", at_s = {at_s:?} }}");
+        let after = run(&trigger_fault(&fault).with("trigger.driver", driver));
         assert_eq!(after.code(), 3, "{}", after.error());
+        assert_eq!(after.unconfirmed, 1);
         let message = after.error().to_string();
-        assert!(message.contains("trigger cable") && message.contains("trigger unit"), "{message}");
-        after.assert_safe().assert_labels();
+        assert!(message.contains("SAFE STATE COULD NOT BE CONFIRMED"), "{message}");
+        assert!(message.contains("trigger unit") && message.contains("by hand"), "{message}");
+        let Some(Record::Stop { trouble: Some(trouble), .. }) = after.records.last() else {
+            panic!("no stop at the end")
+        };
+        assert!(trouble.contains("safe state not confirmed"), "{trouble}");
+        after.assert_labels();
+        let sprays = after.pulses.iter().filter(|pulse| pulse.injector.is_some()).count();
+        assert_eq!(sprays, if driver == DRIVERS[0] { 3 } else { 1 });
+        assert!(after.plate_at_end.settings.set_point_k < 309.0);
+    }
+}
+
+#[test]
+fn bad_replies_of_the_trigger_unit_cost_no_label() {
+    for driver in DRIVERS {
+        for fault in [
+            "{ kind = \"late\", every = 13, delay_s = 1.4 }",
+            "{ kind = \"garbled\", every = 11 }",
+            "{ kind = \"missing\", every = 11 }",
+            "{ kind = \"doubled\", every = 7 }",
+        ] {
+            let preset = Preset::small().calibrated().with("trigger.driver", driver);
+            let after = run(&preset.with("rig.pulser.line_faults", &format!("[{fault}]")));
+            after.assert_complete().assert_safe().assert_labels();
+        }
     }
 }
 
@@ -385,10 +556,13 @@ fn an_incomplete_frame_is_taken_again() {
 
 #[test]
 fn a_missing_camera_pulse_is_taken_again() {
-    for pulse in [0, 3, 6, 35] {
-        let after = run(&trigger_fault(&format!("{{ kind = \"drops-camera-pulse\", pulse = {pulse} }}")));
-        after.assert_complete().assert_safe().assert_labels();
-        assert_eq!(after.retaken(), 1, "pulse {pulse}");
+    for driver in DRIVERS {
+        for pulse in [0, 3, 4, 6, 35] {
+            let fault = format!("{{ kind = \"drops-camera-pulse\", pulse = {pulse} }}");
+            let after = run(&trigger_fault(&fault).with("trigger.driver", driver));
+            after.assert_complete().assert_safe().assert_labels();
+            assert_eq!(after.retaken(), 1, "{driver}, pulse {pulse}");
+        }
     }
 }
 

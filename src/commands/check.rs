@@ -5,9 +5,10 @@ use crate::config::Config;
 use crate::console::duration_words;
 use crate::expectation;
 use crate::plan::{Cost, Plan};
+use crate::report::plot::timing::Timing;
 use crate::rigs;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `ditd check`.
 #[derive(Debug, clap::Args)]
@@ -17,6 +18,9 @@ pub struct Args {
     /// Print JSON
     #[arg(long)]
     json: bool,
+    /// Draw the pulses of one cycle into an SVG file, to be laid beside an oscilloscope's screen
+    #[arg(long, value_name = "FILE.svg")]
+    timing: Option<PathBuf>,
 }
 
 /// Validates a campaign file and prints what it would do.
@@ -28,6 +32,9 @@ pub fn run(args: Args) -> CommandResult {
     let (source, config) = load(&args.config)?;
     rigs::own_files(&config, &source.folder).map_err(|error| CommandError::usage(error.to_string()))?;
     let plan = Plan::of_map(&config);
+    if let Some(path) = &args.timing {
+        draw_timing(&config, &plan, path)?;
+    }
     let cost = plan.cost(&config);
     let curve = (config.optics.calibration == "measure").then(|| Plan::of_standard_curve(&config)).flatten();
     let expected = expectation::of(&config, &plan, &source.folder);
@@ -49,6 +56,24 @@ pub fn run(args: Args) -> CommandResult {
         |expected| expected.words(),
     );
     print(&(words(&config, &plan, &cost, curve.as_ref()) + &expected))
+}
+
+/// All levels of a plan have the same program: the first one's is drawn.
+fn draw_timing(config: &Config, plan: &Plan, path: &Path) -> Result<(), CommandError> {
+    let is_svg = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
+    if !is_svg {
+        let message = format!("--timing {}: the drawing is an SVG file: name it so", path.display());
+        return Err(CommandError::usage(message));
+    }
+    let Some(level) = plan.levels.first() else { return Ok(()) };
+    let drawing = Timing {
+        title: &config.campaign.name,
+        program: &level.program,
+        integration_s: config.camera.integration_s,
+        readout_s: config.camera.readout_s,
+    };
+    std::fs::write(path, drawing.to_svg())
+        .map_err(|error| CommandError::failure(format!("--timing {}: {error}", path.display())))
 }
 
 fn words(config: &Config, plan: &Plan, cost: &Cost, curve: Option<&Plan>) -> String {

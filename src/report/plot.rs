@@ -3,6 +3,7 @@
 mod axis;
 pub mod polar;
 pub mod sheet;
+pub mod timing;
 
 pub use axis::Scale;
 
