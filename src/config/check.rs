@@ -1,5 +1,6 @@
 //! Limits and impossible combinations of a campaign file. Pure.
 
+use crate::estimate::mask::Limits;
 use super::{Config, Pace};
 use ditd_sim::light::air::{AirPath, Atmosphere};
 use ditd_sim::light::band::Response;
@@ -227,6 +228,13 @@ fn optics(config: &Config, found: &mut Vec<Problem>) {
         require(found, (0.0..=0.9).contains(&score), "fit.misfire_score", || {
             format!("must lie in 0 … 0.9, found {score}")
         });
+    }
+    for (key, limit) in [
+        ("fit.mask_emissivity_below", Limits { sigma_above_k: None, ..config.fit.limits() }),
+        ("fit.mask_sigma_above_k", Limits { emissivity_below: None, ..config.fit.limits() }),
+    ] {
+        let problem = limit.problem();
+        require(found, problem.is_none(), key, || problem.unwrap_or_default());
     }
     if let Some(calibration) = &config.calibration {
         require(found, calibration.levels_k.len() >= 4, "calibration.levels_k", || {
