@@ -158,14 +158,18 @@ fn entries(table: &Path, raw: &RawDefaults) -> Result<Vec<Entry>, String> {
     let folder = table.parent().unwrap_or(Path::new(""));
     let needed = |name: &str| {
         text.texts(name).ok_or_else(|| {
-            format!("{}: no column `{name}`; needed are file, kind, and level or plate_temperature_k", table.display())
+            format!(
+                "{}: no column `{name}`; needed are file, kind, and level or plate_temperature_k",
+                table.display()
+            )
         })
     };
     let (files, kinds) = (needed("file")?, needed("kind")?);
     let first = |names: &[&str]| names.iter().find_map(|name| text.texts(name));
     let frames = first(&["frame", "page"]);
     let cycles = first(&["cycle", "pair"]);
-    let (levels, plates, times) = (text.texts("level"), first(&["plate_temperature_k"]), text.texts("time_s"));
+    let (levels, plates, times) =
+        (text.texts("level"), first(&["plate_temperature_k"]), text.texts("time_s"));
     if levels.is_none() && plates.is_none() {
         return Err(format!("{}: neither a column `level` nor `plate_temperature_k`", table.display()));
     }
@@ -185,8 +189,13 @@ fn entries(table: &Path, raw: &RawDefaults) -> Result<Vec<Entry>, String> {
             };
             let number = |column: &Option<Vec<&str>>, name: &str| -> Result<Option<f64>, String> {
                 let Some(text) = cell(column) else { return Ok(None) };
-                let value: f64 = text.parse().map_err(|_| wrong(format!("{name}: {text:?} is not a number")))?;
-                if value.is_finite() { Ok(Some(value)) } else { Err(wrong(format!("{name}: {text} is not finite"))) }
+                let value: f64 =
+                    text.parse().map_err(|_| wrong(format!("{name}: {text:?} is not a number")))?;
+                if value.is_finite() {
+                    Ok(Some(value))
+                } else {
+                    Err(wrong(format!("{name}: {text} is not finite")))
+                }
             };
             let kind = match kinds[row].to_lowercase().as_str() {
                 "spray" => Some(ShotKind::Spray),
@@ -255,7 +264,10 @@ impl Layouts<'_> {
             match column.map(|column| column[row]).filter(|cell| !cell.is_empty()) {
                 Some(text) => text.parse().map_err(|_| format!("{name}: {text:?} is not a whole number")),
                 None => given.ok_or_else(|| {
-                    format!("raw frames need {name}: a column of the table, or --raw-{}", name.replace('_', "-"))
+                    format!(
+                        "raw frames need {name}: a column of the table, or --raw-{}",
+                        name.replace('_', "-")
+                    )
                 }),
             }
         }
@@ -269,7 +281,8 @@ impl Layouts<'_> {
             header_bytes: cell(self.header.as_ref(), row, "header_bytes", raw.header_bytes)?,
             rows: cell(self.rows.as_ref(), row, "rows", raw.rows)?,
             columns: cell(self.columns.as_ref(), row, "columns", raw.columns)?,
-            big_endian: order.ok_or("raw frames need byte_order: a column of the table, or --raw-byte-order")?,
+            big_endian: order
+                .ok_or("raw frames need byte_order: a column of the table, or --raw-byte-order")?,
             bits: cell(self.bits.as_ref(), row, "bits", raw.bits)?,
         }))
     }
@@ -294,7 +307,9 @@ fn levels(table: &Path, entries: Vec<Entry>) -> Result<Vec<Level>, String> {
     }
     let mut twice = entries.iter().filter(|entry| entry.kind.is_some()).collect::<Vec<_>>();
     twice.sort_by(|a, b| (&a.file, a.frame, a.line).cmp(&(&b.file, b.frame, b.line)));
-    if let Some(pair) = twice.windows(2).find(|pair| (&pair[0].file, pair[0].frame) == (&pair[1].file, pair[1].frame)) {
+    if let Some(pair) =
+        twice.windows(2).find(|pair| (&pair[0].file, pair[0].frame) == (&pair[1].file, pair[1].frame))
+    {
         return Err(format!(
             "{}: {} frame {} was taken in line {} already",
             at(table, pair[1].line),
@@ -521,8 +536,9 @@ impl<'a> Writer<'a> {
 fn case(imported: &Imported, constants: &Constants, table: &Path) -> Value {
     let mut case = if constants.case.is_object() { constants.case.clone() } else { json!({}) };
     // x that was given for the very same levels stays; else it follows from curve and temperatures.
-    let given: Option<Vec<Option<f64>>> =
-        serde_json::from_value(case["setpoints_K"].clone()).ok().filter(|given| *given == imported.plate_temperature_k);
+    let given: Option<Vec<Option<f64>>> = serde_json::from_value(case["setpoints_K"].clone())
+        .ok()
+        .filter(|given| *given == imported.plate_temperature_k);
     let keeps_x = given.is_some()
         && case["gamma"].as_f64() == Some(constants.gamma)
         && case["x_counts"].as_array().is_some_and(|x| x.len() == imported.cycles.len());

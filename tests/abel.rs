@@ -81,8 +81,7 @@ fn analytic_pairs_are_found_on_odd_and_even_widths() {
                 };
                 let cut = columns.len() / 40;
                 let inner = cut..columns.len() - cut;
-                let square: f64 =
-                    inner.clone().map(|i| (found.alpha_per_m[i] - truth[i]).powi(2)).sum();
+                let square: f64 = inner.clone().map(|i| (found.alpha_per_m[i] - truth[i]).powi(2)).sum();
                 #[expect(clippy::cast_precision_loss, reason = "a few pixels")]
                 let rms = (square / inner.len() as f64).sqrt();
                 assert!(rms < bound, "{} {kind} {}: {rms}", pair["name"], method.name());
@@ -102,8 +101,7 @@ fn smooth_hollow_profiles_with_noise_are_found_by_cosines() {
     let square = |i: usize| (i as f64 / s).powi(2);
     let truth: Vec<f64> = (0..n).map(|i| e * square(i) * (-square(i)).exp()).collect();
     let root = std::f64::consts::PI.sqrt();
-    let column: Vec<f64> =
-        (0..n).map(|i| e * root * s * (0.5 + square(i)) * (-square(i)).exp()).collect();
+    let column: Vec<f64> = (0..n).map(|i| e * root * s * (0.5 + square(i)) * (-square(i)).exp()).collect();
     let noise = 0.01 * column.iter().copied().fold(0.0, f64::max);
     let (column, truth) = (mirrored(&column, true), mirrored(&truth, true));
     let columns = column.len();
@@ -174,11 +172,19 @@ fn the_command_reads_columns_and_emissivities() {
     save(&at("emissivity.npy"), [4, 61], column.iter().map(|p| -(-p).exp_m1()).collect());
     let image = |name: &str, more: &[&str]| {
         let (input, out) = (text(name), text("out.npz"));
-        let told = ditd(&[&["abel", &input, "--method", "daun", "--pixel-m", "1e-4", "--out", &out, "--json"], more].concat());
+        let told = ditd(
+            &[&["abel", &input, "--method", "daun", "--pixel-m", "1e-4", "--out", &out, "--json"], more]
+                .concat(),
+        );
         assert!(told.status.success(), "{}", String::from_utf8_lossy(&told.stderr));
         let arrays = npz::read(&at("out.npz")).unwrap();
         let get = |name: &str| arrays.iter().find(|(found, _)| found == name).unwrap().1.clone();
-        (get("alpha_per_m"), get("flags"), get("centre_column"), serde_json::from_slice::<Value>(&told.stdout).unwrap())
+        (
+            get("alpha_per_m"),
+            get("flags"),
+            get("centre_column"),
+            serde_json::from_slice::<Value>(&told.stdout).unwrap(),
+        )
     };
     let (alpha, _, centre, summary) = image("column.npy", &[]);
     assert_eq!((alpha.shape.as_slice(), centre.shape.len()), ([4, 61].as_slice(), 0));
@@ -210,7 +216,11 @@ fn the_command_reads_columns_and_emissivities() {
         ["--method", "basex", "--pixel-m", "-1"],
         ["--method", "daun", "--sigma", "missing.npy"],
     ] {
-        assert_eq!(ditd(&[&["abel", input.as_str()], wrong.as_slice()].concat()).status.code(), Some(2), "{wrong:?}");
+        assert_eq!(
+            ditd(&[&["abel", input.as_str()], wrong.as_slice()].concat()).status.code(),
+            Some(2),
+            "{wrong:?}"
+        );
     }
     assert_eq!(ditd(&["abel", &input, "--method", "basex", "--non-negative"]).status.code(), Some(2));
 }

@@ -96,12 +96,12 @@ impl Original {
 
     /// A table of frames of which `place` says file and page; with further columns.
     fn table(&self, place: impl Fn(usize) -> (String, usize), more: (&str, &str)) -> String {
-        let mut text =
-            format!("file,page,level,plate_temperature_k,kind,time_s,cycle{}\n", more.0);
+        let mut text = format!("file,page,level,plate_temperature_k,kind,time_s,cycle{}\n", more.0);
         for (i, (level, kind, cycle, _)) in self.in_time().into_iter().enumerate() {
             let (file, page) = place(i);
             // Levels from hot to cold in the table, numbered by what they are.
-            writeln!(text, "{file},{page},{level},{},{kind},{}.5,{cycle}{}", self.plates[level], i, more.1).unwrap();
+            writeln!(text, "{file},{page},{level},{},{kind},{}.5,{cycle}{}", self.plates[level], i, more.1)
+                .unwrap();
         }
         text
     }
@@ -218,7 +218,11 @@ fn every_form_of_recording_gives_the_same_map() {
         assert_eq!(summary["blanks_per_spray"], json!(BLANKS));
         assert_eq!(summary["discarded"], json!(one.pairs.len()));
         for name in ["spray.npy", "nospray.npy"] {
-            assert_eq!(npy::read(&out.join(name)).unwrap(), npy::read(&straight.join(name)).unwrap(), "{form}");
+            assert_eq!(
+                npy::read(&out.join(name)).unwrap(),
+                npy::read(&straight.join(name)).unwrap(),
+                "{form}"
+            );
         }
         let mut stack = Stack::open(&out).unwrap();
         let inputs = stack.inputs(Estimator::Default);
@@ -244,7 +248,9 @@ fn a_table_alone_makes_a_stack() {
     let mut table = String::from("file,kind,plate_temperature_k,time_s\n");
     // Written backwards in time, levels by temperature.
     for (i, (kind, plate, count)) in
-        [("spray", 460.0, 130), ("blank", 460.0, 150), ("spray", 400.0, 90), ("blank", 400.0, 80)].iter().enumerate()
+        [("spray", 460.0, 130), ("blank", 460.0, 150), ("spray", 400.0, 90), ("blank", 400.0, 80)]
+            .iter()
+            .enumerate()
     {
         npy::write(&dir.path().join(format!("{i}.npy")), &frame(*count)).unwrap();
         writeln!(table, "{i}.npy,{kind},{plate},{}", 10 - i).unwrap();
@@ -255,7 +261,9 @@ fn a_table_alone_makes_a_stack() {
     assert!(String::from_utf8(told.stdout).unwrap().contains("gamma = 1"));
     let case: Value = serde_json::from_str(&std::fs::read_to_string(at("s/case.json")).unwrap()).unwrap();
     assert_eq!(case["setpoints_K"], json!([400.0, 460.0]));
-    let Values::U16(spray) = npy::read(Path::new(&at("s/spray.npy"))).unwrap().values else { panic!("counts") };
+    let Values::U16(spray) = npy::read(Path::new(&at("s/spray.npy"))).unwrap().values else {
+        panic!("counts")
+    };
     assert_eq!((spray[0], spray[4]), (90, 130));
     assert_eq!(ditd(&["fit", &at("s"), "--out", &at("map")]).status.code(), Some(2));
     std::fs::write(at("curve.json"), r#"{"A": 7.2e4, "a_um": 3.4, "b_um_K": 1.5}"#).unwrap();
@@ -310,7 +318,18 @@ fn wrong_tables_are_told_with_file_and_line() {
     std::fs::write(at("t.csv"), format!("{head}{good}")).unwrap();
     assert!(ditd(&["import-frames", &at("t.csv"), "--out", &at("out")]).status.success());
     std::fs::write(at("t.csv"), format!("{head}short.raw,0,400,spray,1\nb.npy,0,400,blank,1\n")).unwrap();
-    let layout = ["--raw-header-bytes", "0", "--raw-rows", "2", "--raw-columns", "2", "--raw-byte-order", "little", "--raw-bits", "16"];
+    let layout = [
+        "--raw-header-bytes",
+        "0",
+        "--raw-rows",
+        "2",
+        "--raw-columns",
+        "2",
+        "--raw-byte-order",
+        "little",
+        "--raw-bits",
+        "16",
+    ];
     let (table, out) = (at("t.csv"), at("out2"));
     let told = ditd(&[["import-frames", &table, "--out", &out].as_slice(), &layout].concat());
     assert!(said(&told).contains("short.raw") && said(&told).contains("3 bytes"), "{}", said(&told));

@@ -146,7 +146,8 @@ pub fn run(args: &Args) -> CommandResult {
         (values, opaque) = (depths.depth, depths.opaque);
         sigmas = sigmas.map(|_| depths.sigma);
     }
-    let wrong = |error: abel::AbelError| CommandError::usage(format!("abel {}: {error}.", args.input.display()));
+    let wrong =
+        |error: abel::AbelError| CommandError::usage(format!("abel {}: {error}.", args.input.display()));
     let seen = Columns { values: &values, sigmas: sigmas.as_deref(), rows, columns };
     let mut found = abel::invert(&seen, &settings).map_err(wrong)?;
     mark_opaque(&mut found, &opaque);
@@ -289,7 +290,8 @@ pub(super) fn readable(found: &Inverted, settings: &Settings) -> String {
     );
     if settings.method.has_strength() {
         let strength = spread(&found.strength);
-        text += &format!("strength {} … {}, median {}\n", strength["min"], strength["max"], strength["median"]);
+        text +=
+            &format!("strength {} … {}, median {}\n", strength["min"], strength["max"], strength["median"]);
     }
     if found.discrepancy_failed > 0 {
         text += &format!(

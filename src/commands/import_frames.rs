@@ -128,7 +128,10 @@ fn constants(args: &Args) -> Result<(Constants, Vec<String>), CommandError> {
         bits: args.raw_bits,
     };
     let saturated_max = args.saturated_max;
-    Ok((Constants { case, gamma, emissivity_plate, saturation_count, calibration, raw, saturated_max }, assumed))
+    Ok((
+        Constants { case, gamma, emissivity_plate, saturation_count, calibration, raw, saturated_max },
+        assumed,
+    ))
 }
 
 /// A curve from a file, as a case states it.

@@ -1,7 +1,7 @@
 //! Limits and impossible combinations of a campaign file. Pure.
 
-use crate::estimate::mask::Limits;
 use super::{Config, Pace};
+use crate::estimate::mask::Limits;
 use ditd_sim::light::air::{AirPath, Atmosphere};
 use ditd_sim::light::band::Response;
 use ditd_sim::light::fuel::Fuel;

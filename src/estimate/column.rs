@@ -96,7 +96,11 @@ impl Growth {
         let mut depth = if emissivity >= 0.0 { -(-emissivity).ln_1p() } else { emissivity };
         for _ in 0..STEPS_MAX {
             let excess = self.emissivity(depth) - emissivity;
-            if excess > 0.0 { high = high.min(depth) } else { low = low.max(depth) }
+            if excess > 0.0 {
+                high = high.min(depth)
+            } else {
+                low = low.max(depth)
+            }
             let next = depth - excess / self.slope(depth);
             let next = if next > low && next < high { next } else { 0.5 * (low + high) };
             let done = (next - depth).abs() <= 1e-15 * depth.abs();

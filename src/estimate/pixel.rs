@@ -244,8 +244,7 @@ fn line(detail: &map::Detail, levels: &[PixelLevel]) -> PixelLine {
     let (low, high) = (x().fold(f64::INFINITY, f64::min), x().fold(f64::NEG_INFINITY, f64::max));
     let span = high - low;
     let near = line.crossing > low - span && line.crossing < high + span;
-    let (low, high) =
-        if near { (low.min(line.crossing), high.max(line.crossing)) } else { (low, high) };
+    let (low, high) = if near { (low.min(line.crossing), high.max(line.crossing)) } else { (low, high) };
     let margin = 0.04 * (high - low);
     let (low, high) = (low - margin, high + margin);
     // Student's t of the degrees of freedom, as the crossing's sets.

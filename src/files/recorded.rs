@@ -109,7 +109,10 @@ impl Recordings {
             Open::Tiff(decoder) => tiff_page(path, decoder, index),
             Open::Raw(file, length) => {
                 let layout = layout.ok_or_else(|| {
-                    FileError::format(path, "raw frames need their header bytes, rows, columns, byte order and bits")
+                    FileError::format(
+                        path,
+                        "raw frames need their header bytes, rows, columns, byte order and bits",
+                    )
                 })?;
                 raw_frame(path, file, *length, index, layout)
             }
@@ -139,11 +142,7 @@ fn open_tiff(path: &Path) -> Result<Open, FileError> {
     Ok(Open::Tiff(Box::new(decoder.with_limits(Limits::default()))))
 }
 
-fn tiff_page(
-    path: &Path,
-    decoder: &mut Decoder<BufReader<File>>,
-    index: usize,
-) -> Result<Frame, FileError> {
+fn tiff_page(path: &Path, decoder: &mut Decoder<BufReader<File>>, index: usize) -> Result<Frame, FileError> {
     let wrong = |error: tiff::TiffError| FileError::format(path, error);
     decoder
         .seek_to_image(index)
@@ -156,7 +155,9 @@ fn tiff_page(
     }
     let counts = match decoder.read_image().map_err(wrong)? {
         DecodingResult::U16(counts) => counts,
-        DecodingResult::U8(counts) if kind == ColorType::Gray(8) => counts.into_iter().map(u16::from).collect(),
+        DecodingResult::U8(counts) if kind == ColorType::Gray(8) => {
+            counts.into_iter().map(u16::from).collect()
+        }
         _ => {
             let what = format!("page {index} is {kind:?} of a kind of samples that are no whole counts");
             return Err(FileError::format(path, what));
@@ -164,7 +165,10 @@ fn tiff_page(
     };
     let frame = Frame { rows: rows as usize, columns: columns as usize, counts };
     if frame.rows * frame.columns != frame.counts.len() {
-        return Err(FileError::format(path, format!("page {index} has another number of samples than pixels")));
+        return Err(FileError::format(
+            path,
+            format!("page {index} has another number of samples than pixels"),
+        ));
     }
     Ok(frame)
 }
@@ -230,7 +234,10 @@ fn open_npy(path: &Path) -> Result<Open, FileError> {
     let (rows, columns) = match array.shape[..] {
         [rows, columns] | [_, rows, columns] => (rows, columns),
         _ => {
-            let what = format!("has the shape {:?}, expected [rows, columns] or [frames, rows, columns]", array.shape);
+            let what = format!(
+                "has the shape {:?}, expected [rows, columns] or [frames, rows, columns]",
+                array.shape
+            );
             return Err(FileError::format(path, what));
         }
     };
@@ -258,7 +265,9 @@ mod tests {
         let read = |index: usize, layout: RawLayout| Recordings::default().frame(&path, index, Some(&layout));
         assert_eq!(read(1, layout).unwrap().counts, counts[6..]);
         assert!(read(2, layout).unwrap_err().to_string().contains("holds 2"));
-        assert!(read(0, RawLayout { header_bytes: 4, ..layout }).unwrap_err().to_string().contains("29 bytes"));
+        assert!(
+            read(0, RawLayout { header_bytes: 4, ..layout }).unwrap_err().to_string().contains("29 bytes")
+        );
         let swapped = read(1, RawLayout { big_endian: false, ..layout }).unwrap_err().to_string();
         assert!(swapped.contains("byte order"), "{swapped}");
         assert!(read(0, RawLayout { rows: 0, ..layout }).is_err());

@@ -101,9 +101,7 @@ fn padded(name: &str) -> [u8; NAME_BYTES] {
 
 /// Bits, names and meanings of all flags, as every JSON text has them.
 pub fn flag_legend() -> serde_json::Value {
-    let one = |(bit, name, meaning): &(u32, &str, &str)| {
-        serde_json::json!({ "bit": bit, "name": name, "meaning": meaning })
-    };
+    let one = |(bit, name, meaning): &(u32, &str, &str)| serde_json::json!({ "bit": bit, "name": name, "meaning": meaning });
     flag::LEGEND.iter().map(one).collect()
 }
 

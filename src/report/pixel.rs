@@ -34,7 +34,11 @@ fn level_points(view: &PixelView, value: impl Fn(&PixelLevel) -> f64) -> Vec<Poi
     known
         .filter_map(|level| {
             let sigma = level.standard_error_counts;
-            Some(Point { x: level.x_counts?, y: value(level), sigma: if sigma.is_finite() { sigma } else { 0.0 } })
+            Some(Point {
+                x: level.x_counts?,
+                y: value(level),
+                sigma: if sigma.is_finite() { sigma } else { 0.0 },
+            })
         })
         .collect()
 }
@@ -214,7 +218,11 @@ mod tests {
                 points: Vec::new(),
             },
             gain: [f64::NAN; 2],
-            flags: vec![NamedFlag { bit: 1, name: "TOO_FEW_LEVELS", meaning: "fewer than two levels left, no line" }],
+            flags: vec![NamedFlag {
+                bit: 1,
+                name: "TOO_FEW_LEVELS",
+                meaning: "fewer than two levels left, no line",
+            }],
         };
         let svg = sheet(&view, "a < b").to_svg();
         assert!(svg.contains("a &lt; b") && svg.contains("TOO_FEW_LEVELS"));

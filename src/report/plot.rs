@@ -248,9 +248,8 @@ impl Frame {
             }
         }
         for band in &plot.bands {
-            let shown = |&&[x, low, high]: &&[f64; 3]| {
-                self.x.shows(x) && self.y.shows(low) && self.y.shows(high)
-            };
+            let shown =
+                |&&[x, low, high]: &&[f64; 3]| self.x.shows(x) && self.y.shows(low) && self.y.shows(high);
             let edges: Vec<&[f64; 3]> = band.edges.iter().filter(shown).collect();
             let upper = edges.iter().map(|[x, _, high]| (x, high));
             let lower = edges.iter().rev().map(|[x, low, _]| (x, low));

@@ -84,8 +84,7 @@ pub(super) fn inverted(args: &AbelArgs, out: &Path) -> Result<String, CommandErr
     ]);
     write(&out.join("abel.npz"), &all)?;
     let opaque = found.flags.iter().filter(|&&flags| flags & flag::OPAQUE != 0).count();
-    let note =
-        if opaque > 0 { format!("; {opaque} pixels too dense for a column") } else { String::new() };
+    let note = if opaque > 0 { format!("; {opaque} pixels too dense for a column") } else { String::new() };
     Ok(format!(
         "abel      {}          abel.npz: a temperature at {warm} pixels{note}\n",
         readable(&found, &settings)

@@ -24,7 +24,8 @@ impl Fitted {
     pub(super) fn read(out: &Path) -> Result<Self, CommandError> {
         let failed = |why: String| CommandError::failure(format!("fit: {why}"));
         let arrays = result::read_npz(&out.join("dit.npz")).map_err(|error| failed(error.to_string()))?;
-        let shape = arrays.iter().find(|(name, _)| name == "emissivity").map(|(_, array)| array.shape.clone());
+        let shape =
+            arrays.iter().find(|(name, _)| name == "emissivity").map(|(_, array)| array.shape.clone());
         let Some([rows, columns]) = shape.as_deref() else {
             return Err(failed("dit.npz has no emissivity".into()));
         };

@@ -2,8 +2,8 @@
 
 use super::super::{CommandError, CommandResult, print};
 use super::Args;
-use crate::estimate::map::{self, DitMap, FitInputs};
 use crate::estimate::accumulate::Sums;
+use crate::estimate::map::{self, DitMap, FitInputs};
 use crate::estimate::pixel::{LevelFacts, PixelView, view};
 use crate::files::write_atomic;
 use crate::reduce::Total;

@@ -29,9 +29,8 @@ pub(super) fn minimum(k: &Matrix, b: &[f64], start: &[f64]) -> Bounded {
         let Some((values, slopes)) = answer(k, b, &free) else { break };
         // Wrong are free values below zero, and bound ones that would better be positive.
         let tolerance = 1e-12 * scale;
-        let wrong: Vec<usize> = (0..n)
-            .filter(|&i| if free[i] { values[i] < 0.0 } else { slopes[i] < -tolerance })
-            .collect();
+        let wrong: Vec<usize> =
+            (0..n).filter(|&i| if free[i] { values[i] < 0.0 } else { slopes[i] < -tolerance }).collect();
         best = values;
         if wrong.is_empty() {
             return Bounded { values: best, free: (0..n).filter(|&i| free[i]).collect(), settled: true };
@@ -63,9 +62,8 @@ fn answer(k: &Matrix, b: &[f64], free: &[bool]) -> Option<(Vec<f64>, Vec<f64>)> 
         let found = matrix::solve_positive(&part, &right)?;
         at.iter().zip(&found.values).for_each(|(&i, &value)| values[i] = value);
     }
-    let slopes = (0..n)
-        .map(|i| k.row(i).iter().zip(&values).map(|(k, x)| k * x).sum::<f64>() - b[i])
-        .collect();
+    let slopes =
+        (0..n).map(|i| k.row(i).iter().zip(&values).map(|(k, x)| k * x).sum::<f64>() - b[i]).collect();
     Some((values, slopes))
 }
 
@@ -92,7 +90,10 @@ mod tests {
                     if found.free.contains(&i) {
                         assert!(found.values[i] >= 0.0 && slope.abs() < 1e-9, "{seed} {i} {slope}");
                     } else {
-                        assert!(found.values[i].abs() < f64::MIN_POSITIVE && slope > -1e-9, "{seed} {i} {slope}");
+                        assert!(
+                            found.values[i].abs() < f64::MIN_POSITIVE && slope > -1e-9,
+                            "{seed} {i} {slope}"
+                        );
                     }
                 }
             }

@@ -52,7 +52,8 @@ pub(super) fn choices(filtered: &Filtered, said: &Said<'_>, n: usize) -> (Vec<us
     }
     // Residual squares: Σ (1 − φ)² c² and what the basis does not hold.
     let squares: Vec<f64> = said.coefficients.iter().map(|c| c * c).collect();
-    let left = Matrix::from_fn(members, count, |k, choice| (1.0 - filtered.choices[choice].filter[k]).powi(2));
+    let left =
+        Matrix::from_fn(members, count, |k, choice| (1.0 - filtered.choices[choice].filter[k]).powi(2));
     let mut residuals = vec![0.0; rows * count];
     matrix::multiply(&squares, members, &left, None, &mut residuals);
     if !filtered.complete {

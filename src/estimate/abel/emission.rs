@@ -42,7 +42,12 @@ pub fn sources(seen: &Columns<'_>, inverted: &Inverted, pixel_m: f64) -> Result<
     let Columns { values, sigmas, rows, columns } = *seen;
     if (inverted.rows, inverted.columns) != (rows, columns) {
         let sigmas = sigmas.map_or(0, <[f64]>::len);
-        return Err(AbelError::Shape { values: values.len(), sigmas, rows: inverted.rows, columns: inverted.columns });
+        return Err(AbelError::Shape {
+            values: values.len(),
+            sigmas,
+            rows: inverted.rows,
+            columns: inverted.columns,
+        });
     }
     if !(pixel_m > 0.0 && pixel_m.is_finite()) {
         return Err(AbelError::Setting { name: "the size of a pixel", must: "positive", found: pixel_m });
@@ -54,7 +59,8 @@ pub fn sources(seen: &Columns<'_>, inverted: &Inverted, pixel_m: f64) -> Result<
         .into_par_iter()
         .map(|row| {
             let at = row * columns..(row + 1) * columns;
-            let pixels = Pixels { values: &values[at.clone()], variances: variances.as_ref().map(|v| &v[at.clone()]) };
+            let pixels =
+                Pixels { values: &values[at.clone()], variances: variances.as_ref().map(|v| &v[at.clone()]) };
             let alpha: Vec<f64> = inverted.alpha_per_m[at.clone()].iter().map(|a| a * pixel_m).collect();
             let sigma: Vec<f64> = inverted.sigma_alpha[at].iter().map(|s| s * pixel_m).collect();
             one_row(&grid, &pixels, &alpha, &sigma)

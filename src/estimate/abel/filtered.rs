@@ -111,8 +111,7 @@ pub(super) fn basex(n: usize, phase: f64, fixed: Option<f64>) -> Option<Filtered
     }
     let (disc, chords) = soft_disc(n, phase);
     // The disc's coefficients serve every strength.
-    let seen: Vec<f64> =
-        (0..n).map(|k| (0..n).map(|i| v.at(i, k) * chords[i]).sum()).collect();
+    let seen: Vec<f64> = (0..n).map(|k| (0..n).map(|i| v.at(i, k) * chords[i]).sum()).collect();
     let choice = |strength: f64| {
         let filter: Vec<f64> = squares.iter().map(|&s| s.max(0.0) / (s.max(0.0) + strength)).collect();
         let mut made = vec![0.0; n];

@@ -136,7 +136,11 @@ pub(super) fn join_complete(
     let values = pixels.values;
     let right_half = &values[right..right + to_right];
     let left_half = || values[..=left].iter().rev();
-    if to_right >= to_left { out.copy_from_slice(right_half) } else { out.iter_mut().zip(left_half()).for_each(|(o, v)| *o = *v) }
+    if to_right >= to_left {
+        out.copy_from_slice(right_half)
+    } else {
+        out.iter_mut().zip(left_half()).for_each(|(o, v)| *o = *v)
+    }
     // On an axis that is a pixel both sides are the same one.
     let own = usize::from(grid.phase <= 0.0 && both > 0);
     let mut square = 0.0;

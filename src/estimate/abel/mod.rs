@@ -400,7 +400,12 @@ impl Inverter {
             Strength::Automatic | Strength::Discrepancy => work.given,
             Strength::CrossValidation | Strength::Fixed(_) => false,
         };
-        let said = Said { coefficients: &coefficients, squares: &squares, measured: &measured, given: discrepancy.then_some(&given) };
+        let said = Said {
+            coefficients: &coefficients,
+            squares: &squares,
+            measured: &measured,
+            given: discrepancy.then_some(&given),
+        };
         let (choices, failed) = choose::choices(filtered, &said, n);
         for (coefficients, &choice) in coefficients.chunks_mut(members).zip(&choices) {
             let filter = &filtered.choices[choice].filter;
@@ -803,12 +808,19 @@ mod tests {
     fn nasty_images_give_numbers_or_flags() {
         for method in Method::ALL {
             for columns in 1..6 {
-                for values in [vec![0.0; columns], vec![1.0; columns], vec![f64::NAN; columns], vec![-3.0; columns]] {
-                    let wanted = Settings { centre: None, strength: Strength::Automatic, ..settings(method, 0.0) };
+                for values in
+                    [vec![0.0; columns], vec![1.0; columns], vec![f64::NAN; columns], vec![-3.0; columns]]
+                {
+                    let wanted =
+                        Settings { centre: None, strength: Strength::Automatic, ..settings(method, 0.0) };
                     let image = Columns { values: &values, sigmas: None, rows: 1, columns };
                     let found = invert(&image, &wanted).unwrap();
                     for (i, value) in found.alpha_per_m.iter().enumerate() {
-                        assert_eq!(value.is_nan(), found.flags[i] & flag::HIDDEN != 0, "{method:?} {columns} {values:?}");
+                        assert_eq!(
+                            value.is_nan(),
+                            found.flags[i] & flag::HIDDEN != 0,
+                            "{method:?} {columns} {values:?}"
+                        );
                         assert!(value.is_nan() == values[0].is_nan());
                         assert!(values[0] != 0.0 || *value == 0.0);
                     }

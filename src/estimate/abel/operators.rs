@@ -162,7 +162,8 @@ mod tests {
             let onion = rings(n, phase).upper_inverse().unwrap();
             // Bounds by the second derivative on the axis, 2/30²: a quarter of it for parabolas, two thirds for rings; and
             // the exponentials of Hansen and Law.
-            let all = [(three_point(n, phase), 6e-4), (onion, 2e-3), (linear, 6e-4), (hansen_law(n, phase), 3e-3)];
+            let all =
+                [(three_point(n, phase), 6e-4), (onion, 2e-3), (linear, 6e-4), (hansen_law(n, phase), 3e-3)];
             for (k, (operator, bound)) in all.iter().enumerate() {
                 for (i, f) in apply(operator, &column).iter().enumerate() {
                     assert!((f - gauss(i)).abs() < *bound, "{k} {phase} {i}: {f} {}", gauss(i));
@@ -182,7 +183,8 @@ mod tests {
                 let chord = 2.0 * leg(edge, radius(i, phase));
                 assert!((rings.row(i).iter().sum::<f64>() - chord).abs() < 1e-12);
                 let last = radius(n - 1, phase);
-                let chord = 2.0 * leg(last, radius(i, phase)) + ramp(radius(i, phase), last, last + 1.0, 1.0, 0.0);
+                let chord =
+                    2.0 * leg(last, radius(i, phase)) + ramp(radius(i, phase), last, last + 1.0, 1.0, 0.0);
                 assert!((hats.row(i).iter().sum::<f64>() - chord).abs() < 1e-12);
             }
         }
@@ -193,7 +195,9 @@ mod tests {
         for phase in [0.0, 0.5] {
             for n in 1..4 {
                 let column = vec![1.0; n];
-                for operator in [three_point(n, phase), hansen_law(n, phase), rings(n, phase).upper_inverse().unwrap()] {
+                for operator in
+                    [three_point(n, phase), hansen_law(n, phase), rings(n, phase).upper_inverse().unwrap()]
+                {
                     assert!(apply(&operator, &column).iter().all(|f| f.is_finite()));
                 }
             }

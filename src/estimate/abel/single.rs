@@ -106,7 +106,8 @@ fn operator(inverter: &Inverter, key: Key) -> Option<Matrix> {
     if from >= to {
         return None;
     }
-    let trimmed = |matrix: &Matrix| Matrix::from_fn(to - from, to - from, |i, j| matrix.at(from + i, from + j));
+    let trimmed =
+        |matrix: &Matrix| Matrix::from_fn(to - from, to - from, |i, j| matrix.at(from + i, from + j));
     match &inverter.kernel {
         Kernel::Fixed(fixed) if fixed.reach.is_some() => {
             let mut out = trimmed(&fixed.operator);
@@ -160,7 +161,11 @@ fn operator(inverter: &Inverter, key: Key) -> Option<Matrix> {
                     Some(out)
                 }
                 Method::Fourier => {
-                    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of cosines")]
+                    #[expect(
+                        clippy::cast_possible_truncation,
+                        clippy::cast_sign_loss,
+                        reason = "a number of cosines"
+                    )]
                     let cosines = (strength.max(0.0) as usize).min((to - from) / 2);
                     let (seen, own) = cosines_seen(n, phase, cosines);
                     let cut = |m: &Matrix| Matrix::from_fn(to - from, cosines + 1, |i, k| m.at(from + i, k));

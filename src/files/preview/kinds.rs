@@ -64,7 +64,8 @@ pub fn kinds_to_png(
     let label = legend.iter().map(|(_, text)| font::text_width(text)).max().unwrap_or(0) * scale;
     let (top, left) = (margin + line + 2 * scale, margin + width + 2 * margin);
     let swatch = font::HEIGHT * scale;
-    let total = (left + swatch + 4 * scale + label + margin).max(font::text_width(title) * scale + 2 * margin);
+    let total =
+        (left + swatch + 4 * scale + label + margin).max(font::text_width(title) * scale + 2 * margin);
     let mut canvas = Canvas::new(total, top + height.max(legend.len() * line) + margin);
     canvas.text(margin, margin, scale, title);
     for (i, bits) in bits.iter().enumerate() {

@@ -25,8 +25,7 @@ pub(super) fn figures(watch: &Watch<'_>) -> Result<Vec<Figure>, String> {
             if method == Method::DaunNonNegative && known {
                 continue;
             }
-            let settings =
-                Settings { method, strength: Strength::Automatic, centre: None, pixel_m: 1.0 };
+            let settings = Settings { method, strength: Strength::Automatic, centre: None, pixel_m: 1.0 };
             let axis = Axis { column: 0.5 * (COLUMNS as f64 - 1.0), sigma: 0.0, found: false };
             let inverter = Inverter::new(COLUMNS, axis, &settings).map_err(|e| e.to_string())?;
             let sigmas = known.then_some(sigmas.as_slice());
@@ -69,9 +68,8 @@ impl Image {
         let e = std::f64::consts::E;
         let truth = (0..COLUMNS).map(|c| e * square(c) * (-square(c)).exp()).collect();
         let root = std::f64::consts::PI.sqrt();
-        let column: Vec<f64> = (0..COLUMNS)
-            .map(|c| e * root * SCALE * (0.5 + square(c)) * (-square(c)).exp())
-            .collect();
+        let column: Vec<f64> =
+            (0..COLUMNS).map(|c| e * root * SCALE * (0.5 + square(c)) * (-square(c)).exp()).collect();
         let sigma = NOISE * column.iter().copied().fold(0.0, f64::max);
         let mut values = Vec::with_capacity(ROWS * COLUMNS);
         for row in 0..ROWS as u64 {
