@@ -22,6 +22,7 @@ pub mod truth;
 pub mod result;
 pub mod session;
 pub mod stack;
+pub mod import_frames;
 pub mod materials;
 pub mod tables;
 pub mod files;

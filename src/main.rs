@@ -30,6 +30,10 @@ enum Command {
     Safe(commands::safe::Args),
     /// Refit a run folder or a stack of recorded frames
     Fit(commands::fit::Args),
+    /// Inverse Abel transform of columns about a vertical axis
+    Abel(commands::abel::Args),
+    /// Make a stack of recorded TIFF, raw or NPY frames and a table of what they are
+    ImportFrames(commands::import_frames::Args),
     /// Ray-trace a scene
     Render(commands::render::Args),
     /// Mie scattering of spheres: tables in, tables out
@@ -70,6 +74,8 @@ fn main() -> ExitCode {
         Command::Calibrate(args) => commands::calibrate::run(args, &clock),
         Command::Safe(args) => commands::safe::run(args, &clock),
         Command::Fit(args) => commands::fit::run(args),
+        Command::Abel(args) => commands::abel::run(&args),
+        Command::ImportFrames(args) => commands::import_frames::run(&args),
         Command::Render(args) => commands::render::run(args),
         Command::Mie(args) => commands::mie::run(args),
         Command::Planck(args) => commands::planck::run(args),

@@ -3,6 +3,7 @@
 //! Equal contents are equal bytes. Shows what it is given and judges nothing.
 
 pub mod mie;
+pub mod pixel;
 pub mod plot;
 pub mod run;
 

@@ -75,7 +75,8 @@ pub fn write(
     }
     let inputs =
         fitting::inputs(&reduced.levels, config, &calibrated.calibration, &calibrated.flat, estimator);
-    let map = map::solve(sums, &inputs);
+    let mut map = map::solve(sums, &inputs);
+    config.fit.limits().apply(&mut map);
     let judged = world.map(|world| {
         let lines = map::lines_with_same_weights(sums, &inputs, &world.x_counts, &world.difference_counts);
         Judged::of(&map, world, world.statistical(&lines), config.emissivity_min())
@@ -277,8 +278,11 @@ fn summary(
         "levels": levels,
         "cycles": { "planned": planned, "received": received, "retaken": retaken, "lost": planned.saturating_sub(received) },
         "flags": flags,
-        "flag_legend": flag::LEGEND.iter()
-            .map(|(bit, name, meaning)| json!({ "bit": bit, "name": name, "meaning": meaning })).collect::<Vec<_>>(),
+        "flag_legend": files::result::flag_legend(),
+        "masks": {
+            "emissivity_below": config.fit.mask_emissivity_below,
+            "sigma_above_k": config.fit.mask_sigma_above_k,
+        },
         "calibration": {
             "curve": fit.curve,
             "chi2": fit.chi2,

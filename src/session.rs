@@ -10,6 +10,7 @@ use crate::config::{Config, ConfigError};
 use crate::console::Console;
 use crate::estimate::convergence::Step;
 use crate::estimate::map::Estimator;
+use crate::estimate::mask::Limits;
 use crate::fitting;
 use crate::journal::{self, Entry, JournalError, Record};
 use crate::plan::Plan;
@@ -278,31 +279,71 @@ pub fn replay(root: &Path, out: &Path, estimator: Option<Estimator>) -> Result<S
     refit(&folder, &source, &config, &calibrated, out, estimator)
 }
 
-/// As [`replay`], with a calibration from elsewhere.
+/// What a refit may do otherwise than the campaign file says.
+#[derive(Debug, Clone, Copy)]
+pub struct Wishes<'a> {
+    /// A calibration from elsewhere; None takes the recorded one.
+    pub calibration: Option<&'a Path>,
+    /// How to weight; None as the campaign file says.
+    pub estimator: Option<Estimator>,
+    /// What to mask, over what the campaign file says.
+    pub limits: Limits,
+}
+
+/// As [`replay`], with wishes.
 ///
 /// # Errors
 ///
 /// [`SessionError`] when the folder or the calibration is damaged or does not belong to the camera's settings.
-pub fn refit_with(
-    root: &Path,
-    calibration: &Path,
-    out: &Path,
-    estimator: Option<Estimator>,
-) -> Result<String, SessionError> {
+pub fn refit_as(root: &Path, out: &Path, wishes: &Wishes<'_>) -> Result<String, SessionError> {
     let folder = RunFolder::at(root);
-    let (source, config) = config_of(&folder)?;
-    let calibrated = load_calibration(&calibration_folder(calibration), &config)?;
-    refit(&folder, &source, &config, &calibrated, out, estimator)
+    let (source, mut config) = config_of(&folder)?;
+    let given = wishes.calibration.map_or_else(|| folder.calibration(), calibration_folder);
+    let calibrated = load_calibration(&given, &config)?;
+    let limits = wishes.limits.or(config.fit.limits());
+    config.fit.mask_emissivity_below = limits.emissivity_below;
+    config.fit.mask_sigma_above_k = limits.sigma_above_k;
+    refit(&folder, &source, &config, &calibrated, out, wishes.estimator)
 }
 
-fn refit(
+/// A recorded run as its final map rests on it.
+#[derive(Debug)]
+pub struct Final {
+    /// The campaign file.
+    pub config: Config,
+    /// The calibration used.
+    pub calibrated: Calibrated,
+    /// The records, without what was left out.
+    pub reduced: Reduced,
+    /// The estimator asked for, or the campaign file's.
+    pub estimator: Estimator,
+}
+
+/// Folds a recorded run again, for looking at.
+///
+/// # Errors
+///
+/// [`SessionError`] when the folder or the calibration is damaged.
+pub fn last_state(
+    root: &Path,
+    calibration: Option<&Path>,
+    estimator: Option<Estimator>,
+) -> Result<Final, SessionError> {
+    let folder = RunFolder::at(root);
+    let (source, config) = config_of(&folder)?;
+    let given = calibration.map_or_else(|| folder.calibration(), calibration_folder);
+    let calibrated = load_calibration(&given, &config)?;
+    let (reduced, estimator) = final_state(&folder, &source, &config, &calibrated, estimator)?;
+    Ok(Final { config, calibrated, reduced, estimator })
+}
+
+fn final_state(
     folder: &RunFolder,
     source: &Source,
     config: &Config,
     calibrated: &Calibrated,
-    out: &Path,
     estimator: Option<Estimator>,
-) -> Result<String, SessionError> {
+) -> Result<(Reduced, Estimator), SessionError> {
     let entries = journal::read(&folder.journal())?;
     check_config(&entries, source)?;
     let c = &config.camera;
@@ -314,6 +355,18 @@ fn refit(
     let estimator =
         estimator.or_else(|| fitting::estimator(&config.fit.estimator)).unwrap_or(Estimator::Default);
     let reduced = fitting::final_state(&reduced, config, calibrated, estimator, &mut archive)?;
+    Ok((reduced, estimator))
+}
+
+fn refit(
+    folder: &RunFolder,
+    source: &Source,
+    config: &Config,
+    calibrated: &Calibrated,
+    out: &Path,
+    estimator: Option<Estimator>,
+) -> Result<String, SessionError> {
+    let (reduced, estimator) = final_state(folder, source, config, calibrated, estimator)?;
     let truth = result::read_world(&folder.world())?;
     Ok(result::write(
         out,

@@ -4,7 +4,7 @@
 //! Knows nothing of run folders and journals.
 
 use crate::estimate::accept::{self, LeftOut, Recorded, Visitor};
-use crate::estimate::accumulate::{AccumulateError, Sums};
+use crate::estimate::accumulate::{AccumulateError, BLANKS_MAX, Sums};
 use crate::estimate::calibration::{C2_UM_K, CalibrationFit, Range, SakumaHattori};
 use crate::estimate::convergence::{self, Step};
 use crate::estimate::gate;
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 pub const STEPS_MAX: usize = 100;
 
 /// A curve as `case.json` writes it.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CaseCurve {
     /// A, in counts.
     #[serde(rename = "A")]
@@ -28,7 +28,7 @@ pub struct CaseCurve {
     #[serde(rename = "b_um_K")]
     pub b_um_k: f64,
     /// The second radiation constant it was made with, in µm K; ours if absent.
-    #[serde(default, rename = "c2_um_K")]
+    #[serde(default, rename = "c2_um_K", skip_serializing_if = "Option::is_none")]
     pub c2_um_k: Option<f64>,
 }
 
@@ -51,7 +51,8 @@ pub struct Case {
     /// Plate temperature of each level, in K.
     #[serde(default, rename = "setpoints_K")]
     pub setpoints_k: Vec<Option<f64>>,
-    /// x = γ·I_cal(T) of each level, in counts; null leaves the level out.
+    /// x = γ·I_cal(T) of each level, in counts; null leaves the level out. Absent: from the plate temperatures.
+    #[serde(default)]
     pub x_counts: Vec<Option<f64>>,
     /// Transmittance of a window; both are taken alike.
     pub gamma: f64,
@@ -60,8 +61,12 @@ pub struct Case {
     pub emissivity_plate: f64,
     /// Samples from this count on are saturated.
     pub saturation_count: u16,
-    /// Curve of the camera.
-    pub calibration: CaseCurve,
+    /// Curve of the camera; without one a fit needs a file.
+    #[serde(default)]
+    pub calibration: Option<CaseCurve>,
+    /// Blanks of each spray frame: `nospray.npy` has them in the order of the spray frames; absent = 1.
+    #[serde(default)]
+    pub blanks_per_spray: Option<u16>,
     /// The far window's own light and what it mirrors, in counts; absent = 0.
     #[serde(default)]
     pub far_window_counts: f64,
@@ -189,9 +194,11 @@ impl Stack {
         let blank = FrameReader::open(&dir.join("nospray.npy"))?;
         let shape = |reader: &FrameReader| [reader.frames, reader.rows, reader.columns];
         let frames: usize = case.pairs_per_setpoint.iter().sum();
-        if shape(&spray) != shape(&blank) || spray.frames != frames {
+        let blanks = usize::from(case.blanks_per_spray());
+        let [_, rows, columns] = shape(&spray);
+        if spray.frames != frames || shape(&blank) != [frames * blanks, rows, columns] {
             let reason = format!(
-                "spray.npy is {:?}, nospray.npy {:?}, case.json says {frames} pairs",
+                "spray.npy is {:?}, nospray.npy {:?}, case.json says {frames} pairs of {blanks} blanks",
                 shape(&spray),
                 shape(&blank)
             );
@@ -205,16 +212,18 @@ impl Stack {
         &self.dir
     }
 
-    /// Inputs of the fit as the case states them.
+    /// Inputs of the fit as the case states them. Without a calibration of its own the curve is none: no temperature.
     pub fn inputs(&self, estimator: Estimator) -> FitInputs<'static> {
         let case = &self.case;
+        let none = SakumaHattori { a_counts: f64::NAN, a_um: f64::NAN, b_um_k: f64::NAN };
+        let curve = case.calibration.as_ref().map_or(none, CaseCurve::curve);
         FitInputs {
-            x_counts: case.x_counts.clone(),
+            x_counts: if case.x_counts.is_empty() { self.abscissae(&curve) } else { case.x_counts.clone() },
             gamma_near: case.gamma,
             gamma_far: case.gamma,
             emissivity_plate: case.emissivity_plate,
             far_window_counts: case.far_window_counts,
-            curve: case.calibration.curve(),
+            curve,
             range: None,
             camera: case.camera.unwrap_or(CameraNoise::ROUNDING_ONLY),
             estimator,
@@ -225,14 +234,21 @@ impl Stack {
 
     /// The same with another calibration: x is formed anew from the plate temperatures.
     pub fn inputs_with(&self, estimator: Estimator, calibration: &Calibration) -> FitInputs<'static> {
-        let temperatures = &self.case.setpoints_k;
-        let x_counts = (0..self.case.x_counts.len())
-            .map(|k| {
-                let temperature = temperatures.get(k).copied().flatten()?;
-                self.case.x_counts[k].map(|_| self.case.gamma * calibration.curve.value(temperature))
-            })
-            .collect();
+        let x_counts = self.abscissae(&calibration.curve);
         FitInputs { x_counts, curve: calibration.curve, range: calibration.range, ..self.inputs(estimator) }
+    }
+
+    /// x of the levels by a curve; None for a level without a temperature, or that the case leaves out.
+    fn abscissae(&self, curve: &SakumaHattori) -> Vec<Option<f64>> {
+        let case = &self.case;
+        let left_out = |k: usize| !case.x_counts.is_empty() && case.x_counts[k].is_none();
+        (0..case.pairs_per_setpoint.len())
+            .map(|k| {
+                let temperature = case.setpoints_k.get(k).copied().flatten()?;
+                let x = case.gamma * curve.value(temperature);
+                (!left_out(k) && x.is_finite()).then_some(x)
+            })
+            .collect()
     }
 
     /// Sums all pairs, for our own estimator takes misfires and spikes out again, and fits.
@@ -241,15 +257,25 @@ impl Stack {
     ///
     /// When frames cannot be read or a level has too many.
     pub fn fit(&mut self, inputs: &FitInputs<'_>) -> Result<Fitted, StackError> {
+        Ok(self.fit_keeping_sums(inputs)?.0)
+    }
+
+    /// As [`Self::fit`], with the sums that the map was made of.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::fit`].
+    pub fn fit_keeping_sums(&mut self, inputs: &FitInputs<'_>) -> Result<(Fitted, Sums), StackError> {
         let mut levels = self.empty_summaries(inputs);
+        let blanks = self.case.blanks_per_spray();
         let mut sums =
-            Sums::new(levels.len(), self.spray.rows, self.spray.columns, 1, self.case.saturation_count)?;
+            Sums::new(levels.len(), self.spray.rows, self.spray.columns, blanks, self.case.saturation_count)?;
         let saturation = self.case.saturation_count;
-        self.for_each_pair(|level, _, spray, blank| {
-            if spray.iter().chain(blank).any(|&count| count >= saturation) {
+        self.for_each_pair(|level, spray, blanks| {
+            if spray.iter().chain(blanks.iter().copied().flatten()).any(|&count| count >= saturation) {
                 levels[level].cycles_with_saturation += 1;
             }
-            sums.add_cycle(level, &[blank], spray)
+            sums.add_cycle(level, blanks, spray)
         })?;
         if inputs.estimator == Estimator::Default {
             let left_out = accept::refine(&mut sums, inputs, self.case.misfire_score(), self)?;
@@ -262,7 +288,7 @@ impl Stack {
             level.accepted = level.cycles - level.rejected.len();
             level.saturated_samples = (0..sums.count.len()).map(|i| u64::from(sums.saturated(i))).sum();
         }
-        Ok(Fitted { map, levels })
+        Ok((Fitted { map, levels }, sums))
     }
 
     /// How the map settles with the number of pairs, at most 100 of a level; see [`convergence`].
@@ -276,7 +302,9 @@ impl Stack {
         emissivity_min: f64,
     ) -> Result<Vec<Step>, StackError> {
         let levels = self.case.pairs_per_setpoint.len();
-        let like = Sums::new(levels, self.spray.rows, self.spray.columns, 1, self.case.saturation_count)?;
+        let (rows, columns) = (self.spray.rows, self.spray.columns);
+        let blanks = self.case.blanks_per_spray();
+        let like = Sums::new(levels, rows, columns, blanks, self.case.saturation_count)?;
         convergence::convergence(&like, inputs, emissivity_min, STEPS_MAX, self)
     }
 
@@ -298,23 +326,51 @@ impl Stack {
             .collect()
     }
 
-    /// Calls `visit(level, cycle, spray, blank)` for every pair in order.
+    /// Calls `visit(level, spray, blanks)` for every cycle in order.
     fn for_each_pair(
         &mut self,
-        mut visit: impl FnMut(usize, usize, &[u16], &[u16]) -> Result<(), AccumulateError>,
+        mut visit: impl FnMut(usize, &[u16], &[&[u16]]) -> Result<(), AccumulateError>,
     ) -> Result<(), StackError> {
         self.spray.go_to(0)?;
         self.blank.go_to(0)?;
-        let pixels = self.spray.rows * self.spray.columns;
-        let (mut spray, mut blank) = (vec![0; pixels], vec![0; pixels]);
-        for (level, &cycles) in self.case.pairs_per_setpoint.iter().enumerate() {
-            for cycle in 0..cycles {
-                self.spray.next_into(&mut spray)?;
-                self.blank.next_into(&mut blank)?;
-                visit(level, cycle, &spray, &blank)?;
+        let mut frames = self.frames();
+        for (level, cycles) in self.case.pairs_per_setpoint.clone().into_iter().enumerate() {
+            for _ in 0..cycles {
+                self.next(&mut frames)?;
+                visit(level, &frames.spray, &frames.blanks())?;
             }
         }
         Ok(())
+    }
+
+    /// Room for the frames of a cycle.
+    fn frames(&self) -> Frames {
+        let pixels = self.spray.rows * self.spray.columns;
+        let blank = vec![0; pixels * usize::from(self.case.blanks_per_spray())];
+        Frames { spray: vec![0; pixels], blank, pixels }
+    }
+
+    /// Reads the next cycle.
+    fn next(&mut self, frames: &mut Frames) -> Result<(), StackError> {
+        self.spray.next_into(&mut frames.spray)?;
+        // Frames of no pixels have nothing to read.
+        for blank in frames.blank.chunks_mut(frames.pixels.max(1)) {
+            self.blank.next_into(blank)?;
+        }
+        Ok(())
+    }
+}
+
+/// The frames of one cycle.
+struct Frames {
+    spray: Vec<u16>,
+    blank: Vec<u16>,
+    pixels: usize,
+}
+
+impl Frames {
+    fn blanks(&self) -> Vec<&[u16]> {
+        if self.pixels == 0 { vec![&[]] } else { self.blank.chunks(self.pixels).collect() }
     }
 }
 
@@ -328,12 +384,10 @@ impl Recorded for Stack {
     fn one(&mut self, level: usize, cycle: usize, visit: &mut Visitor<'_>) -> Result<(), StackError> {
         let at = self.case.pairs_per_setpoint[..level].iter().sum::<usize>() + cycle;
         self.spray.go_to(at)?;
-        self.blank.go_to(at)?;
-        let pixels = self.spray.rows * self.spray.columns;
-        let (mut spray, mut blank) = (vec![0; pixels], vec![0; pixels]);
-        self.spray.next_into(&mut spray)?;
-        self.blank.next_into(&mut blank)?;
-        visit(cycle, &[&blank], &spray);
+        self.blank.go_to(at * usize::from(self.case.blanks_per_spray()))?;
+        let mut frames = self.frames();
+        self.next(&mut frames)?;
+        visit(cycle, &frames.blanks(), &frames.spray);
         Ok(())
     }
 }
@@ -342,6 +396,11 @@ impl Case {
     /// Score below which a shot is a misfire.
     pub fn misfire_score(&self) -> f64 {
         self.misfire_score.unwrap_or(gate::SCORE_MIN)
+    }
+
+    /// Blanks of each spray frame.
+    pub fn blanks_per_spray(&self) -> u16 {
+        self.blanks_per_spray.unwrap_or(1)
     }
 }
 
@@ -369,15 +428,20 @@ fn check(case: &Case) -> Result<(), String> {
     };
     positive("gamma", case.gamma)?;
     positive("eps_B", case.emissivity_plate)?;
-    positive("calibration.A", case.calibration.a_counts)?;
-    positive("calibration.a_um", case.calibration.a_um)?;
-    if let Some(c2) = case.calibration.c2_um_k {
-        positive("calibration.c2_um_K", c2)?;
+    if let Some(curve) = &case.calibration {
+        positive("calibration.A", curve.a_counts)?;
+        positive("calibration.a_um", curve.a_um)?;
+        if let Some(c2) = curve.c2_um_k {
+            positive("calibration.c2_um_K", c2)?;
+        }
+    }
+    if !(1..=BLANKS_MAX).contains(&case.blanks_per_spray()) {
+        return Err(format!("blanks_per_spray must be from 1 to {BLANKS_MAX}"));
     }
     if case.misfire_score.is_some_and(|score| !(0.0..=0.9).contains(&score)) {
         return Err("misfire_score must be from 0 to 0.9".into());
     }
-    if case.x_counts.len() != levels {
+    if case.x_counts.len() != levels && !case.x_counts.is_empty() {
         return Err(format!("x_counts has {} entries for {levels} levels", case.x_counts.len()));
     }
     if levels > map::LEVELS_MAX {

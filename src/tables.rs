@@ -13,6 +13,8 @@ pub struct TextTable {
     origin: String,
     names: Vec<String>,
     rows: Vec<Vec<String>>,
+    /// Line of each row in its file, from 1.
+    lines: Vec<usize>,
 }
 
 impl TextTable {
@@ -43,16 +45,17 @@ impl TextTable {
     ///
     /// Status 2, naming the row, when it is empty or ragged or names a column twice.
     pub fn parse(origin: &str, text: &str) -> Result<Self, CommandError> {
-        let mut lines = text.trim_start_matches('\u{feff}').lines().filter(|line| !line.trim().is_empty());
-        let header = lines
+        let numbered = text.trim_start_matches('\u{feff}').lines().zip(1..);
+        let mut lines = numbered.filter(|(line, _)| !line.trim().is_empty());
+        let (header, _) = lines
             .next()
             .ok_or_else(|| CommandError::usage(format!("{origin} is empty: a header line is needed")))?;
         let names = fields(header);
         if let Some(twice) = names.iter().enumerate().find(|(i, name)| names[..*i].contains(name)) {
             return Err(CommandError::usage(format!("{origin} has the column `{}` twice", twice.1)));
         }
-        let mut rows = Vec::new();
-        for line in lines {
+        let (mut rows, mut at) = (Vec::new(), Vec::new());
+        for (line, number) in lines {
             let row = fields(line);
             if row.len() != names.len() {
                 return Err(CommandError::usage(format!(
@@ -63,8 +66,9 @@ impl TextTable {
                 )));
             }
             rows.push(row);
+            at.push(number);
         }
-        Ok(Self { origin: origin.to_owned(), names, rows })
+        Ok(Self { origin: origin.to_owned(), names, rows, lines: at })
     }
 
     /// Number of rows.
@@ -104,6 +108,17 @@ impl TextTable {
                     .map_err(|_| self.bad_row(row, format!("column `{name}`: `{text}` is not a number")))
             })
             .collect()
+    }
+
+    /// One column as texts; None if there is no such column.
+    pub fn texts(&self, name: &str) -> Option<Vec<&str>> {
+        let column = self.names.iter().position(|own| own == name)?;
+        Some(self.rows.iter().map(|fields| fields[column].trim()).collect())
+    }
+
+    /// Line of a row in its file, from 1, the header included.
+    pub fn line(&self, index: usize) -> usize {
+        self.lines[index]
     }
 
     /// Status 2 about the row of this index (0 for the first).
@@ -219,7 +234,8 @@ mod tests {
         assert_eq!(table.to_json().matches("null").count(), 1);
         table.set("x", &[3.0, 4.0]);
         assert_eq!(table.numbers("x").unwrap(), [3.0, 4.0]);
-        assert_eq!(TextTable::parse("t", &table.to_csv()).unwrap(), table);
+        assert_eq!((table.line(0), table.line(1)), (2, 4));
+        assert_eq!(TextTable::parse("t", &table.to_csv()).unwrap().to_csv(), table.to_csv());
     }
 
     #[test]

@@ -1,5 +1,8 @@
 //! `ditd fit`: refits a run folder, a stack of recorded frames, or lines of known variances.
 
+mod abel;
+mod fitted;
+mod pixel;
 mod walls;
 
 use super::{CommandError, CommandResult, print};
@@ -7,6 +10,7 @@ use crate::estimate::calibration::SakumaHattori;
 use crate::estimate::convergence::Step;
 use crate::estimate::line::Fieller;
 use crate::estimate::map::{self, DitMap, Estimator};
+use crate::estimate::mask::Limits;
 use crate::files::{self, ResultMeta};
 use crate::session;
 use crate::stack::{Calibration, CaseCurve, Fitted, Stack, StackError};
@@ -34,9 +38,32 @@ pub struct Args {
     pub convergence: bool,
     #[command(flatten)]
     walls: walls::WallArgs,
+    #[command(flatten)]
+    abel: abel::AbelArgs,
+    #[command(flatten)]
+    masks: Masks,
+    #[command(flatten)]
+    pixel: pixel::PixelArgs,
     /// Print the summary as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// What is flagged as not to be trusted; the numbers stay.
+#[derive(Debug, Clone, Copy, clap::Args)]
+struct Masks {
+    /// Pixels of a smaller emissivity get the flag LOW_EMISSIVITY
+    #[arg(long, value_name = "EPS", allow_negative_numbers = true)]
+    mask_emissivity_below: Option<f64>,
+    /// Pixels whose temperature has a larger standard deviation, K, or none, get the flag HIGH_SIGMA
+    #[arg(long, value_name = "K")]
+    mask_sigma_above_k: Option<f64>,
+}
+
+impl Masks {
+    fn limits(&self) -> Limits {
+        Limits { emissivity_below: self.mask_emissivity_below, sigma_above_k: self.mask_sigma_above_k }
+    }
 }
 
 /// Names of the estimators on the command line.
@@ -79,6 +106,9 @@ impl From<StackError> for CommandError {
 /// written.
 pub fn run(args: Args) -> CommandResult {
     let path = &args.path;
+    if let Some(problem) = args.masks.limits().problem() {
+        return Err(CommandError::usage(format!("fit: {problem}.")));
+    }
     if path.is_file() {
         fit_lines(path)
     } else if path.join("journal.jsonl").exists() || path.join("campaign.toml").exists() {
@@ -95,20 +125,27 @@ pub fn run(args: Args) -> CommandResult {
 
 /// Refits a run folder from its journal and frames.
 fn fit_run(args: &Args) -> CommandResult {
+    if let (Some(at), None) = (args.pixel.pixel, &args.out) {
+        return pixel::of_run(args, at);
+    }
     let Some(out) = &args.out else {
         return Err(CommandError::usage(
             "fit: refitting a run needs --out DIR; the recorded result is never touched",
         ));
     };
-    let estimator = Some(args.estimator.into());
-    let words = match &args.calibration {
-        Some(calibration) => session::refit_with(&args.path, calibration, out, estimator)?,
-        None => session::replay(&args.path, out, estimator)?,
+    let wishes = session::Wishes {
+        calibration: args.calibration.as_deref(),
+        estimator: Some(args.estimator.into()),
+        limits: args.masks.limits(),
     };
-    let more = walls::correct(&args.walls, out)?;
+    let words = session::refit_as(&args.path, out, &wishes)?;
+    let more = walls::correct(&args.walls, out)? + &abel::inverted(&args.abel, out)?;
     if args.convergence {
         let steps = session::convergence(&args.path, args.calibration.as_deref(), args.estimator.into())?;
         write_convergence(out, &steps)?;
+    }
+    if let Some(at) = args.pixel.pixel {
+        return pixel::of_run(args, at);
     }
     if args.json {
         let path = out.join("summary.json");
@@ -120,27 +157,51 @@ fn fit_run(args: &Args) -> CommandResult {
 }
 
 fn fit_stack(args: &Args) -> CommandResult {
+    if let (Some(at), None) = (args.pixel.pixel, &args.out) {
+        return pixel::of_stack(args, at);
+    }
     let Some(out) = &args.out else {
         return Err(CommandError::usage("fit: a stack needs --out DIR for its map"));
     };
     let mut stack = Stack::open(&args.path)?;
     let estimator = args.estimator.into();
-    let inputs = match &args.calibration {
-        Some(file) => stack.inputs_with(estimator, &Calibration::read(file)?),
-        None => stack.inputs(estimator),
-    };
-    let fitted = stack.fit(&inputs)?;
-    let summary = summary(&stack, &inputs, &fitted);
+    let inputs = inputs_of(&stack, args, estimator)?;
+    let mut fitted = stack.fit(&inputs)?;
+    args.masks.limits().apply(&mut fitted.map);
+    let mut summary = summary(&stack, &inputs, &fitted);
+    summary["masks"] = json!({
+        "emissivity_below": args.masks.mask_emissivity_below,
+        "sigma_above_k": args.masks.mask_sigma_above_k,
+    });
     let meta = ResultMeta { title: stack.case.name.clone(), more: calibration_json(&inputs) };
     let cannot = |error: files::FileError| CommandError::failure(format!("fit: writing the map: {error}"));
     files::write_result(out, &fitted.map, &meta).map_err(cannot)?;
     let text = serde_json::to_string_pretty(&summary).expect("numbers and texts") + "\n";
     files::write_atomic(&out.join("summary.json"), text.as_bytes()).map_err(cannot)?;
-    let more = walls::correct(&args.walls, out)?;
+    let more = walls::correct(&args.walls, out)? + &abel::inverted(&args.abel, out)?;
     if args.convergence {
         write_convergence(out, &stack.convergence(&inputs, EMISSIVITY_MIN)?)?;
     }
+    if let Some(at) = args.pixel.pixel {
+        return pixel::of_stack(args, at);
+    }
     if args.json { print(&text) } else { print(&(readable(&fitted, out) + &more)) }
+}
+
+/// What a stack is fitted with.
+fn inputs_of(
+    stack: &Stack,
+    args: &Args,
+    estimator: Estimator,
+) -> Result<map::FitInputs<'static>, CommandError> {
+    match &args.calibration {
+        Some(file) => Ok(stack.inputs_with(estimator, &Calibration::read(file)?)),
+        None if stack.case.calibration.is_none() => Err(CommandError::usage(format!(
+            "fit {}: case.json has no calibration. Give --calibration FILE.",
+            args.path.display()
+        ))),
+        None => Ok(stack.inputs(estimator)),
+    }
 }
 
 /// Emissivity above which pixels of a stack count where not all do.
@@ -195,6 +256,7 @@ fn summary(stack: &Stack, inputs: &map::FitInputs<'_>, fitted: &Fitted) -> Value
             "spike_samples": levels.iter().map(|l| l.spike_samples).sum::<u64>(),
         },
         "flags": flags,
+        "flag_legend": files::result::flag_legend(),
         "temperature_k": quantiles(&map.temperature_k),
         "sigma_temperature_k": quantiles(&map.sigma_temperature_k),
         "emissivity": quantiles(&map.emissivity),

@@ -1,5 +1,6 @@
 //! The subcommands of `ditd`, one room each. Thin: they read arguments, call the library, print.
 
+pub mod abel;
 pub mod bench;
 pub mod calibrate;
 pub mod check;
@@ -8,6 +9,7 @@ pub mod doctor;
 pub mod fit;
 pub mod fuel;
 pub mod import;
+pub mod import_frames;
 pub mod schema;
 
 use crate::campaign::StopFlag;

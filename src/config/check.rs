@@ -1,6 +1,7 @@
 //! Limits and impossible combinations of a campaign file. Pure.
 
 use super::{Config, Pace, SIMULATED};
+use crate::estimate::mask::Limits;
 use crate::plan::{Plan, Purpose};
 use ditd_drivers::gige::GigeSettings;
 use ditd_drivers::trigger_limits::{self, About};
@@ -301,6 +302,13 @@ fn optics(config: &Config, found: &mut Vec<Problem>) {
         require(found, (0.0..=0.9).contains(&score), "fit.misfire_score", || {
             format!("must lie in 0 … 0.9, found {score}")
         });
+    }
+    for (key, limit) in [
+        ("fit.mask_emissivity_below", Limits { sigma_above_k: None, ..config.fit.limits() }),
+        ("fit.mask_sigma_above_k", Limits { emissivity_below: None, ..config.fit.limits() }),
+    ] {
+        let problem = limit.problem();
+        require(found, problem.is_none(), key, || problem.unwrap_or_default());
     }
     if let Some(calibration) = &config.calibration {
         require(found, calibration.levels_k.len() >= 4, "calibration.levels_k", || {

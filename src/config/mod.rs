@@ -10,6 +10,7 @@ mod diagnose;
 pub use check::Problem;
 pub use diagnose::ConfigError;
 
+use crate::estimate::mask::Limits;
 use ditd_drivers::gige::GigeSettings;
 use ditd_drivers::trigger_limits::TriggerLimits;
 use ditd_sim::rig::config::RigConfig;
@@ -266,6 +267,19 @@ pub struct Fit {
     /// absent: 0.2. Low, so that weak real shots stay in the ensemble.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub misfire_score: Option<f64>,
+    /// Pixels of a smaller emissivity get the flag `LOW_EMISSIVITY`; absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mask_emissivity_below: Option<f64>,
+    /// Pixels whose temperature has a larger standard deviation, in K, or none, get the flag `HIGH_SIGMA`; absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mask_sigma_above_k: Option<f64>,
+}
+
+impl Fit {
+    /// What is masked.
+    pub fn limits(&self) -> Limits {
+        Limits { emissivity_below: self.mask_emissivity_below, sigma_above_k: self.mask_sigma_above_k }
+    }
 }
 
 /// `[target]`

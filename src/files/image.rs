@@ -90,18 +90,28 @@ pub fn read_exr(path: &Path) -> Result<Picture, FileError> {
     Ok(Picture { rows: layer.size.height(), columns: layer.size.width(), channels, description })
 }
 
-/// The bytes of a one-channel f32 TIFF, NaN kept.
+/// The bytes of a one-channel f32 TIFF, NaN kept, with `description` (ASCII; empty for none) in its ImageDescription.
 ///
 /// # Errors
 ///
 /// When the picture is empty or too large for TIFF.
-pub fn tiff_to_bytes(rows: usize, columns: usize, values: &[f32]) -> std::io::Result<Vec<u8>> {
+pub fn tiff_to_bytes(
+    rows: usize,
+    columns: usize,
+    values: &[f32],
+    description: &str,
+) -> std::io::Result<Vec<u8>> {
     let size = |axis: usize| u32::try_from(axis).map_err(std::io::Error::other);
     let mut out = Cursor::new(Vec::new());
     let mut encoder = tiff::encoder::TiffEncoder::new(&mut out).map_err(std::io::Error::other)?;
-    encoder
-        .write_image::<tiff::encoder::colortype::Gray32Float>(size(columns)?, size(rows)?, values)
+    let mut image = encoder
+        .new_image::<tiff::encoder::colortype::Gray32Float>(size(columns)?, size(rows)?)
         .map_err(std::io::Error::other)?;
+    if !description.is_empty() {
+        let tag = tiff::tags::Tag::ImageDescription;
+        image.encoder().write_tag(tag, description).map_err(std::io::Error::other)?;
+    }
+    image.write_data(values).map_err(std::io::Error::other)?;
     Ok(out.into_inner())
 }
 
@@ -138,9 +148,11 @@ mod tests {
     #[test]
     fn tiff_holds_the_values() {
         let picture = picture();
-        let bytes = tiff_to_bytes(15, 40, &picture.channels[0].1).unwrap();
+        let bytes = tiff_to_bytes(15, 40, &picture.channels[0].1, &picture.description).unwrap();
         let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).unwrap();
         assert_eq!(decoder.dimensions().unwrap(), (40, 15));
+        let text = decoder.get_tag_ascii_string(tiff::tags::Tag::ImageDescription).unwrap();
+        assert_eq!(text, picture.description);
         let tiff::decoder::DecodingResult::F32(values) = decoder.read_image().unwrap() else { panic!("f32") };
         assert!(values[7].is_nan() && values[8].to_bits() == 4.0_f32.to_bits());
     }

@@ -7,6 +7,7 @@ pub mod image;
 pub mod npy;
 pub mod npz;
 pub mod preview;
+pub mod recorded;
 pub mod result;
 
 pub use result::{ResultMeta, write_atomic, write_result};

@@ -2,6 +2,8 @@
 //!
 //! Pixels without a value are grey. The colour maps are perceptually uniform.
 
+pub mod kinds;
+
 use super::font;
 
 const BACKGROUND: [u8; 3] = [255, 255, 255];
@@ -91,7 +93,10 @@ pub fn tick_label(value: f64, step: f64) -> String {
 /// Panics when the values are not rows · columns.
 pub fn to_png(preview: &Preview<'_>) -> std::io::Result<Vec<u8>> {
     assert!(preview.values.len() == preview.rows * preview.columns, "one value per pixel");
-    let canvas = draw(preview);
+    encoded(&draw(preview))
+}
+
+fn encoded(canvas: &Canvas) -> std::io::Result<Vec<u8>> {
     let size = |axis: usize| u32::try_from(axis).map_err(std::io::Error::other);
     let mut out = Vec::new();
     let mut encoder = png::Encoder::new(&mut out, size(canvas.width)?, size(canvas.height)?);
@@ -135,11 +140,15 @@ impl Canvas {
     }
 }
 
+/// How much pixels and letters are enlarged: small maps by a whole factor, so that their pixels stay visible squares.
+fn sizes(rows: usize, columns: usize) -> (usize, usize) {
+    let zoom = (384 / columns.max(rows).max(1)).clamp(1, 16);
+    (zoom, if columns * zoom >= 300 { 2 } else { 1 })
+}
+
 fn draw(preview: &Preview<'_>) -> Canvas {
     let &Preview { rows, columns, values, low, high, .. } = preview;
-    // Small maps are enlarged by a whole factor, so that their pixels stay visible squares.
-    let zoom = (384 / columns.max(rows).max(1)).clamp(1, 16);
-    let scale = if columns * zoom >= 300 { 2 } else { 1 };
+    let (zoom, scale) = sizes(rows, columns);
     let (width, height) = (columns * zoom, rows * zoom);
     let line = (font::HEIGHT + 3) * scale;
     let margin = 6 * scale;

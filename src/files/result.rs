@@ -3,6 +3,7 @@
 use super::image::{Picture, exr_to_bytes, tiff_to_bytes};
 use super::npy::{Array, Values};
 use super::npz::{self, Packing};
+use super::preview::kinds::{Kind, kinds_to_png};
 use super::preview::{self, Colours, Preview};
 use super::{FileError, npz::to_bytes};
 use crate::estimate::map::{CHANNELS, DitMap, flag};
@@ -31,7 +32,7 @@ pub fn write_result(dir: &Path, map: &DitMap, meta: &ResultMeta) -> Result<Vec<P
     let mut files = vec![
         ("dit.npz", npz_bytes(map)),
         ("dit.exr", exr_bytes(map, meta)),
-        ("temperature_k.tif", tiff_to_bytes(map.rows, map.columns, &narrow(&map.temperature_k))),
+        ("temperature_k.tif", tiff_bytes(map, meta)),
     ];
     files.extend(previews(map, &meta.title).into_iter().map(|(name, _, bytes)| (name, bytes)));
     let mut paths = Vec::new();
@@ -62,7 +63,8 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
 }
 
 /// The bytes of dit.npz: f64 channels `[rows, columns]`, count and, if there are any,
-/// rejected u32 `[levels, rows, columns]`, flags u32.
+/// rejected u32 `[levels, rows, columns]`, flags u32; and what the flags mean: flag_bits u32 `[flags]` and flag_names u8
+/// `[flags, 24]`, ASCII filled up with zeros (`names.view("S24")` in NumPy).
 ///
 /// # Errors
 ///
@@ -78,8 +80,29 @@ pub fn npz_bytes(map: &DitMap) -> std::io::Result<Vec<u8>> {
         arrays.push(("rejected", Array { shape: levels, values: Values::U32(map.rejected.clone()) }));
     }
     arrays.push(("flags", Array { shape: shape.clone(), values: Values::U32(map.flags.clone()) }));
+    let legend = flag::LEGEND;
+    let bits = legend.iter().map(|(bit, ..)| *bit).collect();
+    arrays.push(("flag_bits", Array { shape: vec![legend.len()], values: Values::U32(bits) }));
+    let names = legend.iter().flat_map(|(_, name, _)| padded(name)).collect();
+    arrays.push(("flag_names", Array { shape: vec![legend.len(), NAME_BYTES], values: Values::U8(names) }));
     let borrowed: Vec<(&str, &Array)> = arrays.iter().map(|(name, array)| (*name, array)).collect();
     to_bytes(&borrowed, Packing::Stored)
+}
+
+/// Bytes of a flag's name in dit.npz.
+const NAME_BYTES: usize = 24;
+
+fn padded(name: &str) -> [u8; NAME_BYTES] {
+    let mut out = [0; NAME_BYTES];
+    assert!(name.is_ascii() && name.len() <= NAME_BYTES, "names of flags are short");
+    out[..name.len()].copy_from_slice(name.as_bytes());
+    out
+}
+
+/// Bits, names and meanings of all flags, as every JSON text has them.
+pub fn flag_legend() -> serde_json::Value {
+    let one = |(bit, name, meaning): &(u32, &str, &str)| serde_json::json!({ "bit": bit, "name": name, "meaning": meaning });
+    flag::LEGEND.iter().map(one).collect()
 }
 
 /// A map's arrays as read from dit.npz, by name.
@@ -110,10 +133,18 @@ fn exr_bytes(map: &DitMap, meta: &ResultMeta) -> std::io::Result<Vec<u8>> {
             channels.push((format!("rejected_{level:02}"), exact(rejected)));
         }
     }
-    let description = description(map, meta).to_string();
-    // EXR texts are one byte per character; JSON can say the rest in escapes.
-    let description = description.chars().map(escaped).collect();
+    let description = ascii_description(map, meta);
     exr_to_bytes(&Picture { rows: map.rows, columns: map.columns, channels, description })
+}
+
+/// The temperature alone, with the description that the EXR has; flags are in the other files.
+fn tiff_bytes(map: &DitMap, meta: &ResultMeta) -> std::io::Result<Vec<u8>> {
+    tiff_to_bytes(map.rows, map.columns, &narrow(&map.temperature_k), &ascii_description(map, meta))
+}
+
+/// The description in ASCII: EXR and TIFF texts are one byte per character, and JSON can say the rest in escapes.
+fn ascii_description(map: &DitMap, meta: &ResultMeta) -> String {
+    description(map, meta).to_string().chars().map(escaped).collect()
 }
 
 fn escaped(character: char) -> String {
@@ -128,10 +159,6 @@ fn escaped(character: char) -> String {
 pub fn description(map: &DitMap, meta: &ResultMeta) -> serde_json::Value {
     let units: serde_json::Map<String, serde_json::Value> =
         CHANNELS.iter().map(|(name, unit)| ((*name).to_owned(), (*unit).into())).collect();
-    let flags: Vec<serde_json::Value> = flag::LEGEND
-        .iter()
-        .map(|(bit, name, meaning)| serde_json::json!({ "bit": bit, "name": name, "meaning": meaning }))
-        .collect();
     serde_json::json!({
         "schema": MAP_SCHEMA,
         "software": concat!("ditd ", env!("CARGO_PKG_VERSION")),
@@ -139,7 +166,7 @@ pub fn description(map: &DitMap, meta: &ResultMeta) -> serde_json::Value {
         "estimator": map.estimator.name(),
         "confidence": map.confidence,
         "units": units,
-        "flags": flags,
+        "flags": flag_legend(),
         "more": meta.more,
     })
 }
@@ -148,7 +175,11 @@ pub fn description(map: &DitMap, meta: &ResultMeta) -> serde_json::Value {
 /// three of its standard deviations, are grey: outside the spray one pixel in forty is resolved by chance.
 pub fn previews(map: &DitMap, title: &str) -> Vec<(&'static str, &'static str, std::io::Result<Vec<u8>>)> {
     let resolved = |values: &[f64]| -> Vec<f64> {
-        let hidden = flag::NOT_RESOLVED | flag::NEGATIVE_EMISSIVITY | flag::NO_PLATE;
+        let hidden = flag::NOT_RESOLVED
+            | flag::NEGATIVE_EMISSIVITY
+            | flag::NO_PLATE
+            | flag::LOW_EMISSIVITY
+            | flag::HIGH_SIGMA;
         let shown = |i: usize| {
             let weak = map.emissivity[i] < 3.0 * map.sigma_emissivity[i];
             map.flags[i] & hidden == 0 && !weak
@@ -196,7 +227,19 @@ pub fn previews(map: &DitMap, title: &str) -> Vec<(&'static str, &'static str, s
             "Standard deviation of the temperature",
             draw(&sigma, above_zero(&sigma), "sigma T", "K", Colours::Viridis),
         ),
+        ("preview_flags.png", "Flags: the highest bit of each pixel", flags_picture(map, &title)),
     ]
+}
+
+/// Flags in colours, with their legend.
+fn flags_picture(map: &DitMap, title: &str) -> std::io::Result<Vec<u8>> {
+    let title = if title.is_empty() { "flags".to_owned() } else { format!("{title}: flags") };
+    let legend: Vec<Kind<'_>> = flag::LEGEND
+        .iter()
+        .zip(map.flag_counts())
+        .map(|(&(bit, name, _), (_, pixels))| Kind { bit, name, pixels })
+        .collect();
+    kinds_to_png(map.rows, map.columns, &map.flags, &legend, &title)
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "pictures store f32")]

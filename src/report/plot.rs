@@ -44,6 +44,34 @@ pub struct Plot {
     pub marks: Vec<(f64, String)>,
     /// Draws the line y = 0, on a linear axis.
     pub zero: bool,
+    /// Shaded between two curves, behind everything else.
+    pub bands: Vec<Band>,
+    /// Shaded between two places of the horizontal axis, behind everything else.
+    pub spans: Vec<Span>,
+}
+
+/// A shaded band between two curves.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Band {
+    /// Horizontal place, lower and upper edge; those that are not finite are left out.
+    pub edges: Vec<[f64; 3]>,
+    /// Number of the series whose colour it takes.
+    pub series: usize,
+    /// 0 … 1.
+    pub opacity: f64,
+}
+
+/// A shaded stretch of the horizontal axis, over the whole height.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Span {
+    /// From here …
+    pub low: f64,
+    /// … to here; nothing is drawn unless both are finite and it is above `low`.
+    pub high: f64,
+    /// Number of the series whose colour it takes.
+    pub series: usize,
+    /// 0 … 1.
+    pub opacity: f64,
 }
 
 /// One curve or set of points.
@@ -160,6 +188,7 @@ impl Plot {
             return format!("<text x=\"{LEFT}\" y=\"{}\">no data</text>\n", HEIGHT / 2.0);
         };
         let mut out = String::new();
+        frame.shades(self, &mut out);
         frame.axes(self, &mut out);
         for (index, series) in self.series.iter().enumerate() {
             frame.series(series, PALETTE[index % PALETTE.len()], &mut out);
@@ -185,7 +214,9 @@ impl Frame {
         points().next()?;
         let bar = |p: &Point| if p.sigma.is_finite() { p.sigma } else { 0.0 };
         let zero = (plot.zero && plot.y_scale == Scale::Linear).then_some(0.0);
-        let ends = points().flat_map(|p| [p.y - bar(p), p.y, p.y + bar(p)]).chain(zero);
+        let edges = plot.bands.iter().flat_map(|band| &band.edges);
+        let edges = edges.flat_map(|&[_, low, high]| [low, high]).filter(|y| plot.y_scale.shows(*y));
+        let ends = points().flat_map(|p| [p.y - bar(p), p.y, p.y + bar(p)]).chain(zero).chain(edges);
         Some(Self {
             x: Axis::around(points().map(|p| p.x), plot.x_scale)?,
             y: Axis::around(ends, plot.y_scale)?,
@@ -203,6 +234,35 @@ impl Frame {
 
     fn py(&self, y: f64) -> f64 {
         HEIGHT - BOTTOM - self.y.place(y) * (HEIGHT - TOP - BOTTOM)
+    }
+
+    fn shades(&self, plot: &Plot, out: &mut String) {
+        for &Span { low, high, series, opacity } in &plot.spans {
+            // What lies beyond the axis is cut off.
+            let inside = |x: f64| self.px(x).clamp(LEFT, WIDTH - RIGHT);
+            if low.is_finite() && high.is_finite() && inside(high) > inside(low) {
+                let (x, width) = (inside(low), inside(high) - inside(low));
+                let (height, colour) = (HEIGHT - BOTTOM - TOP, PALETTE[series % PALETTE.len()]);
+                *out += &format!(
+                    "<rect x=\"{x:.2}\" y=\"{TOP}\" width=\"{width:.2}\" height=\"{height}\" fill=\"{colour}\" fill-opacity=\"{opacity}\"/>\n"
+                );
+            }
+        }
+        for band in &plot.bands {
+            let shown =
+                |&&[x, low, high]: &&[f64; 3]| self.x.shows(x) && self.y.shows(low) && self.y.shows(high);
+            let edges: Vec<&[f64; 3]> = band.edges.iter().filter(shown).collect();
+            let upper = edges.iter().map(|[x, _, high]| (x, high));
+            let lower = edges.iter().rev().map(|[x, low, _]| (x, low));
+            let corner = |(x, y): (&f64, &f64)| format!("{:.2},{:.2}", self.px(*x), self.py(*y));
+            let corners: Vec<String> = upper.chain(lower).map(corner).collect();
+            let colour = PALETTE[band.series % PALETTE.len()];
+            *out += &format!(
+                "<polygon points=\"{}\" fill=\"{colour}\" fill-opacity=\"{}\"/>\n",
+                corners.join(" "),
+                band.opacity
+            );
+        }
     }
 
     fn axes(&self, plot: &Plot, out: &mut String) {

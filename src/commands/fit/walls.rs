@@ -3,12 +3,11 @@
 //! Never done unless asked for, and the map itself stays as it is.
 
 use super::super::CommandError;
-use crate::estimate::calibration::SakumaHattori;
+use super::fitted::curve;
 use crate::estimate::walls::{Corrected, WallLight, corrected};
 use crate::files::npy::{Array, Values};
 use crate::files::npz::{self, Packing};
 use crate::files::{self, image, result};
-use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// What is known of the walls' light.
@@ -85,16 +84,6 @@ fn picture(path: &Path, shape: &[usize]) -> Result<Vec<f64>, String> {
     // Where nothing is in the sight (a_plate = 1) there is no share.
     let each = walls.iter().zip(plate);
     Ok(each.map(|(&walls, &plate)| f64::from(walls) / (1.0 - f64::from(plate))).collect())
-}
-
-/// The curve that the map in `out` was made with, from its summary.
-fn curve(out: &Path) -> Result<SakumaHattori, String> {
-    let path = out.join("summary.json");
-    let text = std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
-    let summary: Value = serde_json::from_str(&text).map_err(|error| error.to_string())?;
-    let curve = summary.pointer("/inputs/curve").or_else(|| summary.pointer("/calibration/curve"));
-    let curve = curve.ok_or_else(|| format!("{} names no curve", path.display()))?;
-    serde_json::from_value(curve.clone()).map_err(|error| error.to_string())
 }
 
 fn write(out: &Path, shape: &[usize], found: &Corrected, light: &WallLight) -> Result<(), String> {

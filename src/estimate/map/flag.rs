@@ -29,8 +29,13 @@ pub const NO_STATISTICS: u32 = 1 << 11;
 /// At least one cycle was left out of this pixel alone: further from the line than five standard deviations.
 pub const OUTLIERS: u32 = 1 << 12;
 
+/// The emissivity is below the limit that was asked for. The numbers stay.
+pub const LOW_EMISSIVITY: u32 = 1 << 13;
+/// The temperature's standard deviation is above the limit that was asked for, or not known. The numbers stay.
+pub const HIGH_SIGMA: u32 = 1 << 14;
+
 /// Every flag with its name and meaning, in order of bits.
-pub const LEGEND: [(u32, &str, &str); 13] = [
+pub const LEGEND: [(u32, &str, &str); 15] = [
     (TOO_FEW_LEVELS, "TOO_FEW_LEVELS", "fewer than two levels left, no line"),
     (SATURATED, "SATURATED", "cycles left out because of saturated samples"),
     (DEAD, "DEAD", "pixel never changes"),
@@ -44,4 +49,6 @@ pub const LEGEND: [(u32, &str, &str); 13] = [
     (FELL_BACK_TO_OLS, "FELL_BACK_TO_OLS", "a level with one cycle, unweighted line"),
     (NO_STATISTICS, "NO_STATISTICS", "no statistical uncertainty"),
     (OUTLIERS, "OUTLIERS", "cycles left out as spikes"),
+    (LOW_EMISSIVITY, "LOW_EMISSIVITY", "masked: emissivity below the limit asked for"),
+    (HIGH_SIGMA, "HIGH_SIGMA", "masked: sigma of the temperature above the limit asked for"),
 ];

@@ -25,8 +25,8 @@ use super::accumulate::Sums;
 pub use inputs::{CameraNoise, Estimator, FitInputs};
 pub use known::{CONFIDENCE, KnownLine, T_KNOWN, known_line};
 pub use lanes::Number;
-pub use single::Prospect;
-pub use solver::{Solved, lines_with_same_weights, prospects};
+pub use single::{Detail, Prospect};
+pub use solver::{Solved, detail, lines_with_same_weights, prospects};
 
 /// Most levels of a map.
 pub const LEVELS_MAX: usize = 256;

@@ -27,6 +27,21 @@ pub struct Prospect {
     pub temperature_k: f64,
 }
 
+/// How one pixel was fitted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Detail {
+    /// Levels that took part.
+    pub levels: Vec<usize>,
+    /// Their weights, in 1/counts² (all 1 for an unweighted line).
+    pub weights: Vec<f64>,
+    /// The line through them.
+    pub line: line::Line,
+    /// Its covariance, as it stands behind the crossing's set.
+    pub covariance: line::Covariance,
+    /// Degrees of freedom of that set; infinite for normal quantiles.
+    pub freedom: f64,
+}
+
 /// Reusable memory for one pixel: its levels that are there.
 #[derive(Default)]
 pub(super) struct Pixel {
@@ -156,6 +171,29 @@ impl Pixel {
             temperature_k,
         };
         temperature_k.is_finite().then_some(prospect)
+    }
+
+    /// How `estimator` fits the gathered levels; None where they do not define a line.
+    pub(super) fn detail(&mut self, estimator: Estimator, used: &[usize]) -> Option<Detail> {
+        let weights = self.weights(estimator)?;
+        let line = line::weighted(&self.x, &self.y, &weights)?;
+        let unweighted = || line.covariance_scaled(self.x.len());
+        #[expect(clippy::cast_precision_loss, reason = "a number of levels")]
+        let left = self.x.len().saturating_sub(2) as f64;
+        let (covariance, freedom) = match estimator {
+            Estimator::Ols => (unweighted(), left),
+            Estimator::Paper if self.own.iter().any(|v| v.is_nan()) => (unweighted(), left),
+            Estimator::Paper => (line.covariance(), f64::INFINITY),
+            Estimator::Default => {
+                let mut scratch = std::mem::take(&mut self.scratch);
+                let fit = law::fit(&self.samples(), &mut scratch);
+                self.scratch = scratch;
+                let fit = fit?;
+                (fit.covariance, fit.freedom_crossing)
+            }
+        };
+        let levels = self.levels.iter().map(|&k| used[k]).collect();
+        Some(Detail { levels, weights, line, covariance, freedom })
     }
 
     /// The weights that `estimator` gives the gathered levels; None where they do not define a line.

@@ -4,7 +4,7 @@ use super::kernel::{self, ALONE, Constants, GAIN, Group, Level, Scratch};
 use super::lanes::{Lanes, Machine, Number, WIDEST};
 use super::residuals::Residuals;
 use super::rows::{Row, Walk};
-use super::single::{Pixel, Prospect};
+use super::single::{Detail, Pixel, Prospect};
 use super::thermometer::Thermometer;
 use super::{CHANNELS, DitMap, Estimator, FitInputs, LEVELS_MAX, flag};
 use crate::estimate::accumulate::Sums;
@@ -285,6 +285,21 @@ fn mask_off_plate<F: Number>(map: &mut DitMap<F>, estimator: Estimator) {
             }
         }
     }
+}
+
+/// How the pixel at `row` and `column` is fitted; None where it has no line.
+///
+/// Panics when there is no such pixel, which is the caller's mistake.
+pub fn detail(sums: &Sums, inputs: &FitInputs<'_>, row: usize, column: usize) -> Option<Detail> {
+    assert!(row < sums.rows() && column < sums.columns(), "a pixel of the sums");
+    let common = Common::new(sums, inputs);
+    let mut pixel = Pixel::default();
+    let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
+    walk.start(row..row + 1, common.pools());
+    let at = walk.row()?;
+    let residuals = common.residuals.at(row * sums.columns() + column);
+    pixel.gather(&at, column, inputs, &common.constants, residuals);
+    pixel.detail(inputs.estimator, &common.used)
 }
 
 /// What is known of the pixels whose emissivity is above `emissivity_min`, for forecasts: at most `pixels_max` of

@@ -25,6 +25,8 @@ pub enum Drawing {
     Plot(Plot),
     /// Curves over an angle.
     Polar(Polar),
+    /// Lines of text of one width.
+    Notes(Vec<String>),
 }
 
 impl Sheet {
@@ -48,11 +50,26 @@ impl Sheet {
             let body = match drawing {
                 Drawing::Plot(plot) => plot.body(),
                 Drawing::Polar(polar) => polar.body(),
+                Drawing::Notes(lines) => notes(lines),
             };
             out += &format!("<g transform=\"translate({x} {y})\">\n{body}</g>\n");
         }
         out + "</svg>\n"
     }
+}
+
+/// Lines of text, 16 units apart.
+fn notes(lines: &[String]) -> String {
+    let mut out = String::new();
+    for (line, text) in lines.iter().enumerate() {
+        #[expect(clippy::cast_precision_loss, reason = "a few lines")]
+        let y = 30.0 + 16.0 * line as f64;
+        out += &format!(
+            "<text x=\"24\" y=\"{y}\" font-family=\"ui-monospace,monospace\" font-size=\"11.5\" xml:space=\"preserve\">{}</text>\n",
+            escape(text)
+        );
+    }
+    out
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Figures of the estimators: error and honesty on made-up shots, then time.
 
+mod abel;
 mod dirt;
 mod judge;
 mod shots;
@@ -42,6 +43,8 @@ enum Subject {
     Honesty,
     /// What misfires and spikes cost
     Gates,
+    /// Errors and times of the inverse Abel transform
+    Abel,
 }
 
 /// All figures, measured now.
@@ -55,6 +58,9 @@ pub(super) fn figures(watch: &Watch<'_>, args: &Args) -> Result<Vec<Figure>, Com
     let mut figures = Vec::new();
     if wanted(Subject::Speed) {
         figures.extend(speed::figures(watch).map_err(failed)?);
+    }
+    if wanted(Subject::Abel) {
+        figures.extend(abel::figures(watch).map_err(failed)?);
     }
     for regime in [CALM, STRONG] {
         if wanted(Subject::Honesty) {

@@ -30,7 +30,7 @@ fn processor() -> Option<f64> {
 }
 
 /// Minimum time of `work`, s.
-fn fastest(watch: &Watch<'_>, threads: usize, mut work: impl FnMut()) -> f64 {
+pub(super) fn fastest(watch: &Watch<'_>, threads: usize, mut work: impl FnMut()) -> f64 {
     let whole = watch.best_of(3, &mut work);
     if threads > 1 || processor().is_none() || whole < SHORT {
         return whole.min(watch.fastest(work));
