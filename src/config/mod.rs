@@ -336,6 +336,16 @@ impl Config {
         inside
     }
 
+    /// What the rig allows of a program of shots.
+    pub fn trigger_limits(&self) -> TriggerLimits {
+        TriggerLimits {
+            injector_pulse_max_s: self.trigger.injection_limit_s,
+            injection_interval_min_s: self.trigger.injection_interval_limit_s,
+            camera_integration_s: self.camera.integration_s,
+            camera_readout_s: self.camera.readout_s,
+        }
+    }
+
     /// Emissivity above which pixels count in the true error of a simulated run (0.2 unless set).
     pub fn emissivity_min(&self) -> f64 {
         self.target.as_ref().map_or(0.2, |target| target.emissivity_min)
