@@ -13,7 +13,7 @@ use ditd::campaign::StopFlag;
 use ditd::files::npz;
 use ditd::journal::Record;
 use ditd::rigs::View;
-use ditd::serve_rig;
+use ditd::serve_rig::{self, ServedRig};
 use ditd_drivers::instrument::ShotKind;
 use ditd_sim::rig::build;
 use ditd_sim::rig::chamber::World;
@@ -87,11 +87,11 @@ fn over_wires(host: u8, change: impl FnOnce(Preset) -> Preset) -> Wired {
     over_wires_then(host, change, |_| {})
 }
 
-/// The same; `meanwhile` is called with the folder of the lines while the campaign runs.
+/// The same; `meanwhile` is called with the rig while the campaign runs.
 fn over_wires_then(
     host: u8,
     change: impl FnOnce(Preset) -> Preset,
-    meanwhile: impl FnOnce(&Path) + Send,
+    meanwhile: impl FnOnce(&ServedRig) + Send,
 ) -> Wired {
     let lines = common::folder();
     let at = |name: &str| format!("\"serial:{}\"", lines.path().join(name).display());
@@ -109,7 +109,7 @@ fn over_wires_then(
         .unwrap_or_else(|error| panic!("{error}"));
     let (sender, finished) = std::sync::mpsc::channel();
     let ran = std::thread::scope(|scope| {
-        scope.spawn(|| meanwhile(lines.path()));
+        scope.spawn(|| meanwhile(&served));
         let campaign = std::thread::spawn(move || {
             let ran = preset.run();
             let _ = sender.send(());
@@ -322,4 +322,28 @@ fn a_stalled_stream_is_waited_for_and_its_cycles_taken_again() {
     });
     assert_right(&wired);
     assert!(retaken(&wired) > 0);
+}
+
+/// A line that is pulled out while the campaign is under way: an error that names it, and everything else safe.
+#[test]
+fn a_line_that_is_pulled_is_named_and_the_rest_is_made_safe() {
+    for (host, instrument, words) in [(57, "plate", "plate calibrator at"), (58, "trigger", "trigger unit at")] {
+        let (never, wait) = std::sync::mpsc::channel::<()>();
+        let wired = over_wires_then(
+            host,
+            |preset| preset.with("campaign.cycles", "100"),
+            move |served| {
+                // Some cycles into the first level.
+                let _ = wait.recv_timeout(Duration::from_secs(5));
+                served.unplug(instrument);
+                drop(never);
+            },
+        );
+        let error = assert_safe(&wired);
+        assert!(error.contains(words), "{error}");
+        assert!(error.contains("THE SAFE STATE COULD NOT BE CONFIRMED"), "{error}");
+        assert_eq!(wired.ran.error().code(), 3, "{error}");
+        let other = if instrument == "plate" { "trigger unit at" } else { "plate calibrator at" };
+        assert!(!error.contains(other), "the {other} it could be reached: {error}");
+    }
 }
