@@ -392,11 +392,13 @@ impl Engine<'_> {
         self.soak(number, level.set_point_k).await?;
         let mut settled = true;
         let mut resoaks = 0;
+        // In a row, over bursts: a burst may have one cycle only.
+        let mut silent = 0;
         if level.shutter_reference {
             let shutter = self.instruments.camera.shutter(true).await.map_err(camera_trouble)?;
             let mut reference = Ok(true);
             while reference.is_ok() && self.recorder.reduced().levels[index].references == 0 {
-                reference = self.burst(number, &level.program, 1, shutter).await;
+                reference = self.burst(number, &level.program, 1, shutter, &mut silent).await;
             }
             if !matches!(reference, Err(Interrupt::CameraLost(_))) {
                 self.instruments.camera.shutter(false).await.map_err(camera_trouble)?;
@@ -420,7 +422,7 @@ impl Engine<'_> {
                 self.soak(number, level.set_point_k).await?;
             }
             self.await_flushed(&level.program).await?;
-            settled = self.burst(number, &level.program, missing, None).await?;
+            settled = self.burst(number, &level.program, missing, None, &mut silent).await?;
         }
         self.progress.level_done(self.recorder);
         Ok(())
@@ -484,6 +486,7 @@ impl Engine<'_> {
         planned: &ShotProgram,
         cycles: u32,
         shutter: Option<Kelvin>,
+        silent: &mut u32,
     ) -> Step<bool> {
         let program = ShotProgram { cycles, ..planned.clone() };
         let program = self.instruments.trigger.program(&program).await?;
@@ -498,7 +501,8 @@ impl Engine<'_> {
         }
         self.instruments.trigger.start().await?;
         self.note(Record::Done { act: "start the trigger clock".to_owned(), level: Some(level) })?;
-        let outcome = self.collect_burst(level, &program, first_cycle, shutter.is_some(), begun).await;
+        let outcome =
+            self.collect_burst(level, &program, first_cycle, shutter.is_some(), begun, silent).await;
         // Even after trouble or a wish the clock must stand before anything else is commanded.
         let stopped = self.instruments.trigger.stop().await;
         let camera = self.instruments.camera.stop().await;
@@ -527,10 +531,10 @@ impl Engine<'_> {
         first_cycle: u32,
         shutter: bool,
         begun: Instant,
+        silent: &mut u32,
     ) -> Step<bool> {
         let mut matcher = Matcher::new(program.clone());
         let mut carry: Option<Frame> = None;
-        let mut silent = 0;
         let mut begun = begun;
         for cycle in 0..program.cycles {
             let number = first_cycle + cycle;
@@ -557,7 +561,7 @@ impl Engine<'_> {
             matcher.collected(matches!(collected, Collected::Complete));
             match collected {
                 Collected::Complete if in_band => {
-                    silent = 0;
+                    *silent = 0;
                     self.note(Record::CycleAccepted { level, cycle: number, reading })?;
                     self.show_cycle(level);
                 }
@@ -570,18 +574,18 @@ impl Engine<'_> {
                     return Ok(false);
                 }
                 Collected::Rejected { reason, frames } => {
-                    silent = if frames == 0 { silent + 1 } else { 0 };
+                    *silent = if frames == 0 { *silent + 1 } else { 0 };
                     self.reject(level, number, reason)?;
                     if frames == 0 {
                         // A camera that is gone is silent, too: a few seconds before it counts as gone.
                         self.instruments.camera.check().await.map_err(camera_trouble)?;
                     }
-                    if silent >= SILENT_CYCLES_MAX || (silent > 0 && program.cycles == 1) {
+                    if *silent >= SILENT_CYCLES_MAX {
                         let running = self.instruments.trigger.running().await?;
                         let state = if running { "running" } else { "stopped" };
                         return Err(Interrupt::Error(CampaignError::NoFrames {
                             level: level + 1,
-                            cycles: silent,
+                            cycles: *silent,
                             state,
                         }));
                     }

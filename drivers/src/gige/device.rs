@@ -471,8 +471,10 @@ fn frame_of(
     numbers: &mut Numbers,
 ) -> Result<Option<Frame>, (String, &'static str)> {
     let status = buffer.status();
+    // A camera without a clock of its own: the time of arrival has to do. A frame whose leader was lost has none either,
+    // and cannot be told where it belongs.
     let stamp = match buffer.timestamp() {
-        0 => buffer.system_timestamp(),
+        0 if status == BufferStatus::Success => buffer.system_timestamp(),
         device => device,
     };
     if matches!(status, BufferStatus::Aborted | BufferStatus::Cleared | BufferStatus::Filling) {
