@@ -58,6 +58,7 @@ struct Heard {
     request: Vec<u8>,
     /// `None` while it is carried out.
     answer: Option<Vec<u8>>,
+    /// When it was heard, and then when it was answered.
     at: Instant,
 }
 
@@ -157,13 +158,14 @@ impl Control {
                     // The stream's side has died; without it there is no camera.
                     None => return,
                 },
+                // Before the commands: a flood of them does not keep control from being lost.
+                () = sleep_until(due) => self.time_has_come().await,
                 heard = socket.recv_from(&mut buffer) => {
                     // Errors of earlier answers (nobody listens) come back here and mean nothing.
                     if let Ok((count, SocketAddr::V4(client))) = heard {
                         self.hear(client, &buffer[..count]).await;
                     }
                 }
-                () = sleep_until(due) => self.time_has_come().await,
             }
         }
     }
@@ -276,7 +278,8 @@ impl Control {
             match self.write_one(client, address, &bytes) {
                 Ok(effect) => effects.extend(effect),
                 Err(error) => {
-                    self.note_refusal(client, &format!("write of {bytes:02X?} to"), address, error);
+                    let first = &bytes[..bytes.len().min(8)];
+                    self.note_refusal(client, &format!("write of {first:02X?} to"), address, error);
                     status = error;
                     break;
                 }
@@ -535,6 +538,7 @@ impl Control {
         let asked = |heard: &&mut Heard| heard.client == client && heard.has_id_of(&answer);
         if let Some(heard) = self.heard.iter_mut().rev().find(asked) {
             heard.answer = Some(answer.clone());
+            heard.at = Instant::now();
         }
         self.send(client, answer).await;
     }
