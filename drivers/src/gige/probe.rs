@@ -31,6 +31,9 @@ pub struct Offered {
     pub unit: Option<String>,
 }
 
+/// A limit beyond this is none.
+const UNLIMITED: f64 = 1e15;
+
 /// Features that are looked at most: a camera has some hundreds.
 const FEATURES_MAX: usize = 10_000;
 
@@ -80,13 +83,16 @@ fn describe(device: &Device, category: &str, name: &str, node: &GcNode) -> Optio
     if !implemented {
         return None;
     }
-    let readable = kind != "command" && device.feature_access_mode(name) != GcAccessMode::Wo;
-    let value = if readable { feature.value_as_string().ok().map(|text| text.to_string()) } else { None };
+    // Aravis 0.8.26 calls features that are read and written write-only: reading is tried, whatever it says.
+    let value =
+        (kind != "command").then(|| feature.value_as_string().ok()).flatten().map(|text| text.to_string());
     let range = match kind {
         "integer" => device.integer_feature_bounds(name).ok().map(|(low, high)| (low as f64, high as f64)),
         "float" => device.float_feature_bounds(name).ok(),
         _ => None,
     };
+    // What has no limit of its own has that of its register.
+    let range = range.filter(|(low, high)| low.abs() < UNLIMITED && high.abs() < UNLIMITED);
     let choices = match kind {
         "enumeration" => device
             .dup_available_enumeration_feature_values_as_strings(name)
