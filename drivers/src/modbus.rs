@@ -183,7 +183,7 @@ pub fn cut_answer(bytes: &[u8]) -> FrameCut {
         [] | [_] | [_, 3 | 4] => return FrameCut::More,
         [_, 3 | 4, length, ..] => 5 + usize::from(*length),
         [_, 6, ..] => 8,
-        [_, function, ..] if matches!(function, 0x83 | 0x84 | 0x86) => 5,
+        [_, 0x83 | 0x84 | 0x86, ..] => 5,
         _ => return FrameCut::Nonsense("a function that was not asked for"),
     };
     if bytes.len() < length {

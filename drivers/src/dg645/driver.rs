@@ -75,8 +75,12 @@ impl Dg645 {
         }
     }
 
+    /// Tells what may be told twice: once more when the line was lost and is back.
     async fn tell(&mut self, command: &Command, doing: &str) -> Result<(), DriverError> {
-        self.wire.tell(&command.encode(), doing).await
+        match self.wire.tell(&command.encode(), doing).await {
+            Err(error) if error.is_reopened() => self.wire.tell(&command.encode(), doing).await,
+            result => result,
+        }
     }
 
     /// A query that is asked once: its answer may change what the unit remembers.
@@ -97,7 +101,8 @@ impl Dg645 {
                     return Err(DriverError::Silent { who, doing, waited, tries, hint });
                 }
                 Err(DriverError::Silent { tries: 1, .. }) => self.check_errors(doing).await?,
-                Err(DriverError::Garbled { .. }) if tries < EXCHANGE_TRIES => {}
+                Err(DriverError::Garbled { .. } | DriverError::Reopened { .. }) if tries < EXCHANGE_TRIES => {
+                }
                 result => return result,
             }
         }
@@ -118,7 +123,7 @@ impl Dg645 {
                 Ok(Value::Count(code)) => code,
                 Ok(value) => return Err(self.wire.unexpected(doing, &value.encode(), "expected a code")),
                 // A code that got lost is an error that nobody will see any more: the read-back is the witness.
-                Err(DriverError::Silent { tries: 1, .. } | DriverError::Garbled { .. }) => continue,
+                Err(error) if is_answer_lost(&error) => continue,
                 Err(error) => return Err(error),
             };
             let Some(fault) = Fault::from_code(code) else {
@@ -175,13 +180,13 @@ impl Dg645 {
     async fn check_power(&mut self, doing: &str) -> Result<(), DriverError> {
         let events = match self.query_once(Key::EventStatus, 0, doing).await {
             Ok(Value::Count(bits)) => bits,
-            Ok(_) | Err(DriverError::Silent { tries: 1, .. } | DriverError::Garbled { .. }) => {
+            Err(error) if !is_answer_lost(&error) => return Err(error),
+            _ => {
                 // The answer is lost and the register is empty now: what it said may be read from the settings.
                 let Some(program) = self.programmed.clone() else { return Ok(()) };
                 let [.., last] = &settings_of(&program)[..] else { return Ok(()) };
                 return self.confirm(last, doing).await;
             }
-            Err(error) => return Err(error),
         };
         if events & event_status::POWER_ON == 0 {
             return Ok(());
@@ -249,6 +254,14 @@ impl Dg645 {
                 .to_owned(),
         }
     }
+}
+
+/// The question was heard, or may have been, and its answer will not come any more.
+fn is_answer_lost(error: &DriverError) -> bool {
+    matches!(
+        error,
+        DriverError::Silent { tries: 1, .. } | DriverError::Garbled { .. } | DriverError::Reopened { .. }
+    )
 }
 
 /// Offset of the injection from the first delay cycle of its burst.
@@ -360,10 +373,13 @@ impl TriggerUnit for Dg645 {
         self.next_cycle = Some(cycle + 1);
         self.note_fired(&program);
         // Sent once: repeated it might be a second burst.
-        let told = self.tell(&Command::act(Key::Trigger), doing).await;
+        let told = self.wire.tell(&Command::act(Key::Trigger).encode(), doing).await;
         // The line may have kept its pace first: the burst begins when the command has gone.
         let fired = self.note_fired(&program);
-        told?;
+        match told {
+            Err(error) if !error.is_reopened() => return Err(error),
+            _ => {}
+        }
         match self.query_once(Key::InstrumentStatus, 0, doing).await {
             Ok(Value::Count(bits)) if bits & instrument_status::TRIGGER != 0 => Ok(fired),
             Ok(Value::Count(bits)) if bits & instrument_status::INHIBITED != 0 => {
@@ -371,7 +387,7 @@ impl TriggerUnit for Dg645 {
             }
             Ok(_) => Err(self.refused(doing, "told to trigger, it has seen no trigger".to_owned())),
             // Asked again the register would be empty. The camera's frames will tell.
-            Err(DriverError::Silent { .. } | DriverError::Garbled { .. }) => Ok(fired),
+            Err(error) if is_answer_lost(&error) || matches!(error, DriverError::Silent { .. }) => Ok(fired),
             Err(error) => Err(error),
         }
     }

@@ -83,6 +83,8 @@ impl Quantum9520 {
                 }
                 Err(DriverError::Silent { tries: 1, .. }) => {}
                 Err(DriverError::Garbled { .. }) if tries < EXCHANGE_TRIES => {}
+                // What it holds is read back after every program, so that it may be said again.
+                Err(error) if error.is_reopened() && tries < EXCHANGE_TRIES => {}
                 result => return result,
             }
         }
@@ -266,6 +268,7 @@ impl TriggerUnit for Quantum9520 {
         // state tells.
         match self.exchange(&Command::set_channel(0, Key::State, Value::Flag(true)), doing).await {
             Ok(_) | Err(DriverError::Silent { .. } | DriverError::Garbled { .. }) => {}
+            Err(error) if error.is_reopened() => {}
             Err(error) => return Err(error),
         }
         let running = self.is_running(doing).await?;

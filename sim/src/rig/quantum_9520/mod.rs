@@ -4,6 +4,7 @@
 //! which pulses come when; `unit` memory, answers and modes.
 
 mod clock;
+mod memory;
 #[cfg(test)]
 mod tests;
 mod unit;

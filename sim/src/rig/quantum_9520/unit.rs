@@ -1,17 +1,15 @@
 //! The unit: what it remembers, what it answers, and how its modes let pulses through.
 
 use super::clock::{Mode, Output, Stretch};
+use super::memory::{Memory, channel_name, delivered, on_grid};
 use super::{CHANNELS, PS_PER_NS, STRETCHES_MAX};
 use crate::rig::pulse::Pulse;
 use crate::rig::pulser::{Meddling, PulserBehaviour, Unit};
 use ditd_drivers::instrument::Identity;
 use ditd_drivers::quantum_9520::{
-    Act, CAMERA_CHANNEL, Command, INJECTOR_CHANNEL, Key, Kind, Reply, UnitError, Value, belongs_to, kind,
-    needs_channel,
+    Act, CAMERA_CHANNEL, Command, INJECTOR_CHANNEL, Key, Reply, UnitError, Value, belongs_to, needs_channel,
 };
 use std::collections::{BTreeMap, VecDeque};
-
-type Memory = BTreeMap<(u32, Key), Value>;
 
 /// What the clock does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -381,69 +379,4 @@ impl Unit for PulseGenerator {
     fn power_cycle(&mut self) {
         *self = Self::new(PulserBehaviour { echo: false, ..self.behaviour.clone() });
     }
-}
-
-/// Rounds to the unit's grid: 10 ns for the period, 250 ps for width and delay (manual, specifications).
-fn on_grid(key: Key, value: Value) -> Value {
-    match (key, value) {
-        (Key::Period, Value::Time(ps)) => Value::Time(ps / 10_000 * 10_000),
-        (_, Value::Time(ps)) => Value::Time(ps / 250 * 250),
-        (_, value) => value,
-    }
-}
-
-fn channel_name(number: u32) -> String {
-    match number {
-        0 => "T0".to_owned(),
-        _ => format!("CH{}", char::from(b'A' + u8::try_from(number - 1).unwrap_or(25).min(25))),
-    }
-}
-
-/// All settings after `*RST`.
-fn delivered() -> Memory {
-    let word = |text: &str| Value::Word(text.to_owned());
-    let mut memory = Memory::new();
-    let clock = [
-        (Key::Period, Value::Time(1_000_000_000)),
-        (Key::Mode, word("NORM")),
-        (Key::ClockIn, word("SYS")),
-        (Key::ClockOut, word("T0")),
-        (Key::TriggerMode, word("DIS")),
-        (Key::TriggerEdge, word("RIS")),
-        (Key::TriggerLevel, Value::Volts(2.5)),
-        (Key::GateMode, word("DIS")),
-        (Key::GateLogic, word("HIGH")),
-        (Key::GateLevel, Value::Volts(2.5)),
-        (Key::CounterState, Value::Flag(false)),
-        (Key::KeypadLock, Value::Flag(false)),
-        (Key::Autoload, Value::Flag(false)),
-        (Key::Baud, Value::Count(115_200)),
-        (Key::UsbBaud, Value::Count(38_400)),
-        (Key::Echo, Value::Flag(false)),
-        (Key::Capitals, Value::Flag(false)),
-    ];
-    memory.extend(clock.map(|(key, value)| ((0, key), value)));
-    for channel in 0..=CHANNELS {
-        let counts = [Key::BurstCount, Key::OnCount, Key::OffCount];
-        memory.extend(counts.map(|key| ((channel, key), Value::Count(1))));
-    }
-    for channel in 1..=CHANNELS {
-        let settings = [
-            (Key::State, Value::Flag(false)),
-            (Key::Width, Value::Time(1_000_000)),
-            (Key::Delay, Value::Time(0)),
-            (Key::Sync, word("T0")),
-            (Key::Polarity, word("NORM")),
-            (Key::OutputMode, word("TTL")),
-            (Key::Amplitude, Value::Volts(4.0)),
-            (Key::Multiplexer, Value::Count(1 << (channel - 1))),
-            (Key::ChannelMode, word("NORM")),
-            (Key::WaitCount, Value::Count(0)),
-            (Key::ChannelGate, word("DIS")),
-            (Key::ChannelLogic, word("HIGH")),
-        ];
-        memory.extend(settings.map(|(key, value)| ((channel, key), value)));
-    }
-    assert!(memory.keys().all(|(_, key)| kind(*key) != Kind::Act), "acts are not remembered");
-    memory
 }
