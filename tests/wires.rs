@@ -196,8 +196,13 @@ fn transport(wired: &Wired, name: &str) -> u64 {
 #[test]
 fn packet_socket_and_ordinary_socket_give_the_map_of_the_rig_inside() {
     for (host, packet_socket) in [(41, "true"), (42, "false")] {
-        let wired = over_wires(host, |preset| preset.with("camera.gige.packet_socket", packet_socket));
+        let wired = over_wires(host, |preset| {
+            preset
+                .with("camera.gige.packet_socket", packet_socket)
+                .with("camera.gige.offset_correction", "true")
+        });
         assert_right(&wired);
+        assert_eq!(wired.stats.corrections, 3, "one before each level, none inside");
         assert_eq!(wired.stats.spoilings, 0);
         let frames =
             wired.ran.records().iter().filter(|record| matches!(record, Record::Frame { .. })).count();

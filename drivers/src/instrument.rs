@@ -221,6 +221,10 @@ pub trait Camera: Send {
     /// Closes or opens the internal shutter (a reference of known temperature). Returns the shutter's
     /// temperature when closed; an error when the camera has none.
     async fn shutter(&mut self, closed: bool) -> Result<Option<Kelvin>, DriverError>;
+    /// Takes a new offset at its own shutter, if it is told to do so before every level; called only between levels.
+    async fn correct_offset(&mut self) -> Result<(), DriverError> {
+        Ok(())
+    }
     /// Begins to wait for triggers.
     async fn start(&mut self) -> Result<(), DriverError>;
     /// The next frame; [`DriverError::Silent`] when none has come within `deadline`.

@@ -390,6 +390,8 @@ impl Engine<'_> {
             return Ok(());
         }
         self.soak(number, level.set_point_k).await?;
+        // Here and nowhere else: inside a level a new offset would tear spray and blanks apart.
+        self.instruments.camera.correct_offset().await.map_err(camera_trouble)?;
         let mut settled = true;
         let mut resoaks = 0;
         // In a row, over bursts: a burst may have one cycle only.

@@ -130,6 +130,10 @@ impl Camera for GigeCamera {
         self.order("moving the shutter", |answer| Order::Shutter(closed, answer)).await
     }
 
+    async fn correct_offset(&mut self) -> Result<(), DriverError> {
+        self.order("taking a new offset", Order::CorrectOffset).await
+    }
+
     async fn start(&mut self) -> Result<(), DriverError> {
         self.frames = None;
         self.frames = Some(self.order("starting the stream", Order::Start).await?);

@@ -299,7 +299,11 @@ impl Device {
                 "Name its feature under [camera.gige.features] shutter = \"…\", or take the offset with a cold plate before the lens.",
             ));
         };
-        self.write(name, if closed { "true" } else { "false" }, DOING)?;
+        let word = match &self.settings.shutter_words {
+            Some(words) => words[usize::from(closed)].as_str(),
+            None => self.names.shutter_words()[usize::from(closed)],
+        };
+        self.write(name, word, DOING)?;
         if !closed {
             return Ok(None);
         }
@@ -310,6 +314,27 @@ impl Device {
             .and_then(|text| text.trim().parse::<f64>().ok())
             .filter(|celsius| celsius.is_finite());
         Ok(celsius.map(Kelvin::from_celsius))
+    }
+
+    /// A new offset at the shutter, where the settings ask for it.
+    pub(super) fn correct_offset(&mut self) -> Result<(), DriverError> {
+        const DOING: &str = "taking a new offset";
+        if !self.settings.offset_correction {
+            return Ok(());
+        }
+        // Never while pictures are taken.
+        self.stop();
+        let Some(name) = self.names.of(Purpose::OffsetCorrection).filter(|name| self.has(name)) else {
+            return Err(refused(
+                &self.who,
+                DOING,
+                "it has no offset correction that this program knows",
+                "Name its command under [camera.gige.features] offset-correction = \"…\", or set offset_correction = false.",
+            ));
+        };
+        super::names::refuse_forbidden(name)
+            .map_err(|why| refused(&self.who, DOING, &why, "Name another command."))?;
+        self.camera.execute_command(name).map_err(|error| self.trouble(DOING, &error))
     }
 
     /// Begins to wait for triggers.

@@ -54,6 +54,11 @@ pub struct GigeSettings {
     pub first_column: u32,
     /// First row of the region.
     pub first_row: u32,
+    /// What is written to the shutter's feature to open and to close it; absent: the preset's words.
+    pub shutter_words: Option<[String; 2]>,
+    /// Whether the camera takes a new offset at its shutter before every level, never inside one. Off: the offset cancels
+    /// between a spray frame and its blanks, and a new one at every level is one more thing that changes.
+    pub offset_correction: bool,
     /// Bytes of a packet with its headers; absent: as large as the network lets through.
     pub packet_size: Option<u32>,
     /// Pause between two packets, in nanoseconds; absent: the camera's own.
@@ -80,6 +85,8 @@ impl Default for GigeSettings {
             pixel_format: None,
             first_column: 0,
             first_row: 0,
+            shutter_words: None,
+            offset_correction: false,
             packet_size: None,
             packet_delay_ns: None,
             buffers: BUFFERS,

@@ -94,7 +94,7 @@ const GENERIC: &[Feature] = &[
     feature(Purpose::TriggerMode, "TriggerMode", Some("On"), true),
     feature(Purpose::Shutter, "ShutterClosed", None, false),
     feature(Purpose::ShutterTemperature, "ShutterTemperature", None, false),
-    feature(Purpose::OffsetCorrection, "OffsetCorrection", None, false),
+    feature(Purpose::OffsetCorrection, "NUCExecute", None, false),
 ];
 
 /// Names that differ from the convention (pyflir 0.2.4: `PS0IntegrationTime` in ms, `CorrectionAuto*`).
@@ -103,8 +103,7 @@ const FLIR: &[Feature] = &[
     // The trigger's names differ from model to model and no public source has them: the campaign file must name at least
     // the source; whether there is a mode and a selector besides is the camera's affair.
     feature(Purpose::TriggerMode, "TriggerMode", Some("On"), false),
-    feature(Purpose::Shutter, "FlagInField", None, false),
-    feature(Purpose::ShutterTemperature, "FlagTemperature", None, false),
+    feature(Purpose::Shutter, "FlagPosition", None, false),
     feature(Purpose::OffsetCorrection, "CorrectionAutoPerform", None, false),
 ];
 
@@ -187,6 +186,15 @@ impl Names {
     /// The feature and the word that make the camera send raw counts, where it has such a feature.
     pub fn raw_counts(&self) -> Option<(&'static str, &'static str)> {
         RAW_COUNTS.iter().find(|row| row.0 == self.preset).map(|row| (row.1, row.2))
+    }
+
+    /// What is written to the shutter's feature to open and to close it.
+    pub fn shutter_words(&self) -> [&'static str; 2] {
+        match self.preset {
+            Preset::Generic => ["false", "true"],
+            Preset::Flir => ["Open", "Closed"],
+            Preset::Telops => ["Scene", "ICU"],
+        }
     }
 
     /// Rows of header above the picture.

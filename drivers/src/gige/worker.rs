@@ -26,6 +26,7 @@ pub(super) enum Order {
     Check(Answer<()>),
     Prepare(CameraSettings, Answer<CameraSettings>),
     Shutter(bool, Answer<Option<Kelvin>>),
+    CorrectOffset(Answer<()>),
     Start(Answer<mpsc::Receiver<Result<Frame, DriverError>>>),
     Stop(Answer<Vec<(&'static str, u64)>>),
 }
@@ -123,6 +124,9 @@ impl Thread {
             }
             Order::Shutter(closed, answer) => {
                 drop(answer.send(self.with(|device| device.shutter(closed))));
+            }
+            Order::CorrectOffset(answer) => {
+                drop(answer.send(self.with(|device| device.correct_offset())));
             }
             Order::Start(answer) => {
                 self.frames = None;
