@@ -252,6 +252,19 @@ fn frames_with_lost_packets_are_taken_again() {
     assert!(retaken(&wired) > 0);
 }
 
+/// Answers of the camera's control channel that are lost or late: asked again, and never taken for other ones.
+#[test]
+fn control_answers_that_are_lost_or_late_harm_nothing() {
+    let wired = over_wires(59, |preset| {
+        preset.with(
+            "rig.gige.fault",
+            "[{ kind = \"answer-lost\", every = 17 }, { kind = \"answer-late\", every = 13, delay_s = 0.6 }]",
+        )
+    });
+    assert_right(&wired);
+    assert!(wired.stats.answers_lost > 0 && wired.stats.answers_late > 0, "{:?}", wired.stats);
+}
+
 #[test]
 fn packets_in_disorder_twice_or_cut_harm_nothing() {
     let wired = over_wires(47, |preset| {
