@@ -10,7 +10,39 @@ pub struct Console {
     bar: Option<ProgressBar>,
     title: String,
     cycles: String,
-    last_reason: String,
+    waiting: Waiting,
+}
+
+/// Which reasons of waiting were told on a stream that is no terminal.
+#[derive(Debug, Default)]
+struct Waiting {
+    /// Kind of the reason told last, and how many were given since.
+    told: Option<(String, u32)>,
+}
+
+/// The same kind of reason is told again after so many: with a reading a second every five minutes.
+const TOLD_AGAIN: u32 = 300;
+
+/// Another kind of reason is not told sooner: two that take turns would fill a log.
+const TOLD_APART: u32 = 15;
+
+impl Waiting {
+    /// Whether a reason is worth a line.
+    fn is_news(&mut self, reason: &str) -> bool {
+        // The kind of a reason is its words: numbers change with every reading.
+        let kind: String = reason.chars().filter(|c| c.is_alphabetic() || c.is_whitespace()).collect();
+        let is_news = match &mut self.told {
+            None => true,
+            Some((told, since)) => {
+                *since += 1;
+                *since >= if *told == kind { TOLD_AGAIN } else { TOLD_APART }
+            }
+        };
+        if is_news {
+            self.told = Some((kind, 0));
+        }
+        is_news
+    }
 }
 
 impl Console {
@@ -23,7 +55,7 @@ impl Console {
             bar.set_prefix(title.to_owned());
             bar
         });
-        Self { bar, title: title.to_owned(), cycles: String::new(), last_reason: String::new() }
+        Self { bar, title: title.to_owned(), cycles: String::new(), waiting: Waiting::default() }
     }
 
     /// A line that stays.
@@ -86,10 +118,11 @@ impl Progress for Console {
     }
 
     fn waiting(&mut self, reason: &str, eta_s: Option<f64>) {
-        self.last_reason = reason.to_owned();
-        if let Some(bar) = &self.bar {
-            let eta = eta_s.map_or_else(String::new, |s| format!(", about {}", duration_words(s)));
-            bar.set_message(format!("waiting: {reason}{eta}"));
+        let eta = eta_s.map_or_else(String::new, |s| format!(", about {} left", duration_words(s)));
+        match &self.bar {
+            Some(bar) => bar.set_message(format!("waiting: {reason}{eta}")),
+            None if self.waiting.is_news(reason) => self.line(&format!("waiting: {reason}{eta}")),
+            None => {}
         }
     }
 
@@ -115,7 +148,20 @@ impl Progress for Console {
 
 #[cfg(test)]
 mod tests {
-    use super::duration_words;
+    use super::*;
+
+    /// A soak as it is told in a log: from far outside, once in the band, and then nothing for five minutes.
+    #[test]
+    fn a_log_gets_new_kinds_of_reasons_and_not_every_number() {
+        let mut waiting = Waiting::default();
+        let outside =
+            (0..200).filter(|n| waiting.is_news(&format!("{n}.00 K, band 373.00 ± 0.30 K"))).count();
+        assert_eq!(outside, 1);
+        let held = (0..60).filter(|n| waiting.is_news(&format!("373.1 K in band, held {n} of 60 s"))).count();
+        assert_eq!(held, 1);
+        let turns = (0..100).filter(|n| waiting.is_news(["in band", "outside"][n % 2])).count();
+        assert!((5..=8).contains(&turns), "{turns}");
+    }
 
     #[test]
     fn durations_read_like_words() {

@@ -5,7 +5,7 @@
 //! damage anywhere else is an error. Raw frames lie beside it in NPY blocks and are named by records.
 
 use crate::plan::Plan;
-use ditd_drivers::instrument::{Identity, PlateReading, ShotKind, ShotProgram};
+use ditd_drivers::instrument::{Identity, MonitorReading, PlateReading, ShotKind, ShotProgram};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -38,6 +38,13 @@ pub enum Record {
         instrument: String,
         /// Its answer.
         identity: Identity,
+    },
+    /// What an instrument says of itself besides: settings that it holds, calibration constants.
+    Particulars {
+        /// `plate`.
+        instrument: String,
+        /// Names with units, and values.
+        values: Vec<MonitorReading>,
     },
     /// About to act.
     Intent {
@@ -93,6 +100,16 @@ pub enum Record {
         index: u64,
         /// CRC-32 of its bytes (little-endian counts).
         crc32: u32,
+    },
+    /// What the monitors showed right after a cycle's last frame, when the plate had settled, or when a value left its
+    /// limits.
+    ProcessValues {
+        /// Level index.
+        level: u32,
+        /// Cycle within the level, when the values belong to one.
+        cycle: Option<u32>,
+        /// Full names (monitor and value) and values.
+        values: Vec<MonitorReading>,
     },
     /// All frames of a cycle are there and fit the plan: it counts.
     CycleAccepted {

@@ -9,7 +9,8 @@ use crate::estimate::map::FitInputs;
 use crate::journal::Record;
 use crate::plan::{Plan, Purpose};
 use crate::stack::STEPS_MAX;
-use ditd_drivers::instrument::ShotKind;
+use ditd_drivers::instrument::{MonitorReading, ShotKind};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Gives the counts of a recorded frame.
@@ -46,6 +47,37 @@ pub struct LevelState {
     pub spray_ids: Vec<u64>,
     /// The next unused cycle number.
     pub next_cycle: u32,
+    /// Process values at the accepted cycles, by their full names: how many, mean, least and greatest.
+    pub process: BTreeMap<String, ProcessValue>,
+}
+
+/// A process value over the accepted cycles of a level, in the unit of its name.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ProcessValue {
+    /// Readings.
+    pub count: u32,
+    /// Their mean.
+    pub mean: f64,
+    /// The least.
+    pub min: f64,
+    /// The greatest.
+    pub max: f64,
+}
+
+impl ProcessValue {
+    /// Takes one more reading.
+    fn with(before: Option<Self>, value: f64) -> Self {
+        let Some(Self { count, mean, min, max }) = before else {
+            return Self { count: 1, mean: value, min: value, max: value };
+        };
+        let count = count + 1;
+        Self {
+            count,
+            mean: mean + (value - mean) / f64::from(count),
+            min: min.min(value),
+            max: max.max(value),
+        }
+    }
 }
 
 impl LevelState {
@@ -107,6 +139,8 @@ pub struct Reduced {
     /// Frames of the accepted cycles, level by level.
     taken: Vec<Vec<Vec<FrameRef>>>,
     pending: Vec<FrameRef>,
+    /// Process values of the cycle under way: level index, cycle, values.
+    shown: Option<(u32, u32, Vec<MonitorReading>)>,
     shutter_k: Option<f64>,
     pixels: usize,
 }
@@ -146,6 +180,7 @@ impl Reduced {
             injections_seen: 0,
             taken,
             pending: Vec::new(),
+            shown: None,
             shutter_k: None,
             pixels,
         })
@@ -175,10 +210,18 @@ impl Reduced {
                     crc32: *crc32,
                 });
             }
+            Record::ProcessValues { level, cycle, values } => {
+                self.shown = cycle.map(|cycle| (*level, cycle, values.clone()));
+            }
             Record::CycleAccepted { level, cycle, reading } => {
                 let index = self.level_index(*level)?;
                 self.add_cycle(index, *cycle, frames)?;
                 let state = &mut self.levels[index];
+                let shown = self.shown.take().filter(|shown| (shown.0, shown.1) == (*level, *cycle));
+                for MonitorReading { name, value } in shown.map(|shown| shown.2).unwrap_or_default() {
+                    let before = state.process.get(&name).copied();
+                    state.process.insert(name, ProcessValue::with(before, value));
+                }
                 if self.shutter_k.is_some() {
                     state.references += 1;
                 } else {
@@ -196,6 +239,7 @@ impl Reduced {
             }
             Record::Start { .. }
             | Record::Identity { .. }
+            | Record::Particulars { .. }
             | Record::Intent { .. }
             | Record::Done { .. }
             | Record::Settled { .. }

@@ -248,7 +248,7 @@ fn summary(
         .zip(&reduced.levels)
         .zip(&abscissae)
         .map(|((plan, state), x)| {
-            json!({
+            let mut level = json!({
                 "set_point_k": plan.set_point_k,
                 "plate_k": state.plate_mean_k(),
                 "x_counts": x,
@@ -257,7 +257,11 @@ fn summary(
                     .map(|(cycle, reason)| json!({ "cycle": cycle, "reason": reason })).collect::<Vec<_>>(),
                 "misfires": misfires(state),
                 "spikes": spikes(state),
-            })
+            });
+            if !state.process.is_empty() {
+                level["monitors"] = process(state);
+            }
+            level
         })
         .collect();
     let planned: u32 = reduced.plan.levels.iter().map(|level| level.program.cycles).sum();
@@ -302,6 +306,15 @@ fn summary(
         },
         "true_error": judged.map(|judged| judged.to_json(config.emissivity_min())),
     })
+}
+
+/// Process values at the accepted cycles.
+fn process(state: &LevelState) -> Value {
+    let each = state.process.iter().map(|(name, value)| {
+        let figures = json!({ "count": value.count, "mean": value.mean, "min": value.min, "max": value.max });
+        (name.clone(), figures)
+    });
+    Value::Object(each.collect())
 }
 
 /// Accepted cycles without a spray, left out of the map.

@@ -1,29 +1,30 @@
 //! Opens a rig: instruments on their wires, or the simulated world behind in-memory ones.
 
-use crate::campaign::Instruments;
-use crate::config::{Config, Pace, SIMULATED};
+use crate::campaign::{Instruments, MonitorLine, Monitors, Watched};
+use crate::config::{self, Config, Pace, SIMULATED, monitor};
 use crate::reduce::Reduced;
 use crate::truth::WorldTruth;
 use ditd_drivers::TRIGGER_UNITS;
 use ditd_drivers::error::DriverError;
-use ditd_drivers::fluke_418x::Fluke418x;
 use ditd_drivers::gige::GigeSettings;
-use ditd_drivers::instrument::{Calibrator, Camera, TriggerUnit};
-use ditd_drivers::wire::{ByteStream, Wire, WireSettings};
+use ditd_drivers::instrument::{Calibrator, Camera, Monitor, TriggerUnit};
+use ditd_drivers::monitors::{Absent, Scaled, ascii_query, csv_tail, modbus_registers};
+use ditd_drivers::wire::{ByteStream, Opener, Reopening, Wire, WireSettings};
 use ditd_sim::rig::build::{self, BuildError};
 use ditd_sim::rig::camera::{SimCamera, WorldState};
 use ditd_sim::rig::chamber::World;
 use ditd_sim::rig::config::RigConfig;
-use ditd_sim::rig::fluke_418x as fluke_sim;
 use ditd_sim::rig::plate::Plate;
+use ditd_sim::rig::process::{self, SensorMonitor, Sensors};
 use ditd_sim::rig::pulse::Pulse;
-use ditd_sim::rig::pulser;
 use ditd_sim::rig::truth::{Sampling, Truth};
+use ditd_sim::rig::{fluke_418x as fluke_sim, hart_9132 as hart_sim, ir_301 as ir_sim, line, pulser};
 use ditd_sim::scene::library::OwnFile;
 use std::collections::HashMap;
 use std::io::Write;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
@@ -178,19 +179,28 @@ impl Prepared {
         let start = tokio::time::Instant::now();
         let mut trigger = self.open_trigger(pulses, start).await?;
         let others = match self.open_plate(start).await {
-            Ok((mut plate, surface)) => match self.open_camera(surface, received).await {
-                Ok(camera) => Ok((plate, camera)),
-                Err(error) => {
-                    // The first trouble is the one to tell.
-                    let _ = plate.make_safe().await;
-                    Err(error)
+            Ok((mut plate, surface)) => {
+                let rest = match self.open_monitors(start).await {
+                    Ok(monitors) => {
+                        let camera = self.open_camera(surface, received).await;
+                        camera.map(|camera| (camera, monitors))
+                    }
+                    Err(error) => Err(error),
+                };
+                match rest {
+                    Ok((camera, monitors)) => Ok((plate, camera, monitors)),
+                    Err(error) => {
+                        // The first trouble is the one to tell.
+                        let _ = plate.make_safe().await;
+                        Err(error)
+                    }
                 }
-            },
+            }
             Err(error) => Err(error),
         };
         match others {
-            Ok((plate, camera)) => {
-                Ok(Opened { instruments: Instruments { plate: Box::new(plate), trigger, camera } })
+            Ok((plate, camera, monitors)) => {
+                Ok(Opened { instruments: Instruments { plate, trigger, camera, monitors } })
             }
             Err(error) => {
                 let _ = trigger.make_safe().await;
@@ -244,7 +254,8 @@ impl Prepared {
             Wire::over(ours, "trigger unit at sim")
         } else {
             let settings = line_settings(config.trigger.baud, (model.wire_settings)());
-            Wire::open(&config.trigger.address, "trigger unit", &settings).await?
+            let wire = Wire::open(&config.trigger.address, "trigger unit", &settings).await?;
+            wire.reopening(Reopening::for_s(config.trigger.reopen_s))
         };
         Ok((model.drive)(wire, config.trigger_limits()))
     }
@@ -252,18 +263,102 @@ impl Prepared {
     async fn open_plate(
         &self,
         start: tokio::time::Instant,
-    ) -> Result<(Fluke418x, Option<Arc<Mutex<Plate>>>), OpenError> {
-        let config = &self.config;
-        if config.plate.address != "sim" {
-            let settings = line_settings(config.plate.baud, ditd_drivers::fluke_418x::wire_settings());
-            let wire = Wire::open(&config.plate.address, "plate calibrator", &settings).await?;
-            return Ok((Fluke418x::new(wire), None));
+    ) -> Result<(Box<dyn Calibrator>, Option<Arc<Mutex<Plate>>>), OpenError> {
+        let config = &self.config.plate;
+        let model = ditd_drivers::calibrator(&config.driver).ok_or_else(|| {
+            OpenError::Config(format!("plate.driver: there is no driver {:?}", config.driver))
+        })?;
+        let policy = Reopening::for_s(config.reopen_s);
+        if config.address != "sim" {
+            let settings = line_settings(config.baud, (model.wire_settings)());
+            let wire = Wire::open(&config.address, "plate calibrator", &settings).await?;
+            return Ok(((model.drive)(wire.reopening(policy)), None));
         }
-        let rig = config.rig.as_ref().ok_or_else(no_world)?;
-        let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
-        let plate = Arc::new(Mutex::new(Plate::new(rig.plate.clone(), config.campaign.seed)));
-        simulate_plate(&config.plate.driver, rig, theirs, Arc::clone(&plate), start)?;
-        Ok((Fluke418x::new(Wire::over(ours, "plate calibrator at sim")), Some(plate)))
+        let rig = self.config.rig.as_ref().ok_or_else(no_world)?;
+        let plate = Arc::new(Mutex::new(Plate::new(rig.plate.clone(), self.config.campaign.seed)));
+        let opener = calibrator_socket(&config.driver, rig, &plate, start)?;
+        let wire = Wire::plugged(opener, "plate calibrator at sim").await?;
+        Ok(((model.drive)(wire.reopening(policy)), Some(plate)))
+    }
+
+    /// Opens the sources of process values. One that is not required and cannot be opened is told once and left out.
+    async fn open_monitors(&self, start: tokio::time::Instant) -> Result<Monitors, OpenError> {
+        let mut lines = Vec::with_capacity(self.config.monitors.len());
+        for monitor in &self.config.monitors {
+            let source: Box<dyn Monitor> = match self.open_monitor(monitor, start).await {
+                Ok(source) => source,
+                Err(OpenError::Driver(error)) if !monitor.required => Box::new(Absent(error)),
+                Err(error) => return Err(error),
+            };
+            let values = monitor.values.iter();
+            let values = values.map(|v| Watched { name: v.name.clone(), low: v.low, high: v.high }).collect();
+            lines.push(MonitorLine {
+                name: monitor.name.clone(),
+                required: monitor.required,
+                values,
+                source,
+            });
+        }
+        Ok(Monitors::new(lines))
+    }
+
+    async fn open_monitor(
+        &self,
+        monitor: &config::Monitor,
+        start: tokio::time::Instant,
+    ) -> Result<Box<dyn Monitor>, OpenError> {
+        let role = format!("monitor {}", monitor.name);
+        let policy = Reopening::for_s(monitor.reopen_s);
+        match monitor.driver.as_str() {
+            "ascii_query" => {
+                let fields = monitor.values.iter().map(ascii_field).collect();
+                let ending = match monitor.ending.as_deref() {
+                    Some("\r") => ascii_query::Ending::Cr,
+                    Some("\n") => ascii_query::Ending::Lf,
+                    _ => ascii_query::Ending::CrLf,
+                };
+                let deadline = Duration::from_secs_f64(monitor.timeout_s.unwrap_or(ANSWER_S));
+                let wire = if monitor.address == "sim" {
+                    let rig = self.config.rig.as_ref().ok_or_else(no_world)?;
+                    let (own, seed) = (rig.clone(), self.config.campaign.seed);
+                    let faults = rig.process.as_ref().map(|process| process.line_faults.clone());
+                    let name = format!("{role} at sim");
+                    let opener =
+                        line::opener(name.clone(), faults.unwrap_or_default(), start, move |stream| {
+                            drop(simulate_sensors(&own, stream, seed, start));
+                        });
+                    Wire::plugged(opener, name).await?
+                } else {
+                    let settings = line_settings(monitor.baud, ascii_query::wire_settings());
+                    Wire::open(&monitor.address, &role, &settings).await?
+                };
+                Ok(Box::new(ascii_query::AsciiQuery::new(wire.reopening(policy), ending, deadline, fields)))
+            }
+            "modbus_registers" => {
+                let values = monitor.values.iter().map(register_value).collect();
+                let settings = line_settings(monitor.baud, modbus_registers::wire_settings());
+                let wire = Wire::open(&monitor.address, &role, &settings).await?.reopening(policy);
+                let unit = monitor.unit.unwrap_or(1);
+                Ok(Box::new(modbus_registers::ModbusRegisters::new(wire, unit, values)))
+            }
+            "csv_tail" => {
+                let path = monitor.address.strip_prefix("file:").unwrap_or(&monitor.address);
+                let columns = monitor.values.iter().map(|value| csv_tail::Column {
+                    column: value.column.clone().unwrap_or_default(),
+                    value: scaled(value),
+                });
+                let stale = Duration::from_secs_f64(monitor.stale_s.unwrap_or(STALE_S));
+                let separator = monitor.separator.unwrap_or(',');
+                Ok(Box::new(csv_tail::CsvTail::new(path.into(), separator, stale, columns.collect())))
+            }
+            "sim" => {
+                let rig = self.config.rig.as_ref().ok_or_else(no_world)?;
+                let sensors = Sensors::new(rig, self.config.campaign.seed, start);
+                let names = monitor.values.iter().map(|value| value.name.clone()).collect();
+                Ok(Box::new(SensorMonitor::new(sensors, names)))
+            }
+            other => Err(OpenError::Config(format!("monitor.driver: there is no driver {other:?}"))),
+        }
     }
 
     async fn open_camera(
@@ -451,10 +546,22 @@ pub fn simulate_plate(
     plate: Arc<Mutex<Plate>>,
     start: tokio::time::Instant,
 ) -> Result<JoinHandle<()>, OpenError> {
-    if driver != "fluke_418x" {
-        return Err(OpenError::Config(format!("plate.driver: nothing simulates {driver:?}")));
-    }
-    Ok(tokio::spawn(fluke_sim::serve(stream, plate, rig.calibrator.clone(), start)))
+    Ok(match driver {
+        "fluke_418x" => tokio::spawn(fluke_sim::serve(stream, plate, rig.calibrator.clone(), start)),
+        "hart_9132" => tokio::spawn(hart_sim::serve(stream, plate, rig.hart_9132.clone(), start)),
+        "ir_301" => tokio::spawn(ir_sim::serve(stream, plate, rig.ir_301.clone(), start)),
+        _ => return Err(not_simulated(driver)),
+    })
+}
+
+/// The simulated rig's sensors on a stream, as an instrument that answers lines of text.
+pub fn simulate_sensors(
+    rig: &RigConfig,
+    stream: impl ByteStream + 'static,
+    seed: u64,
+    start: tokio::time::Instant,
+) -> JoinHandle<()> {
+    tokio::spawn(process::serve(stream, Sensors::new(rig, seed, start)))
 }
 
 #[cfg(feature = "aravis")]
@@ -475,6 +582,72 @@ async fn open_gige(address: &str, _: &GigeSettings) -> Result<Box<dyn Camera>, O
 /// The instrument's delivered line settings, with the campaign file's baud rate.
 fn line_settings(baud: Option<u32>, delivered: WireSettings) -> WireSettings {
     baud.map_or(delivered, |baud| WireSettings { baud })
+}
+
+/// Where the simulated calibrator of a driver is plugged in.
+///
+/// # Errors
+///
+/// [`OpenError::Config`] for a driver that nothing simulates.
+pub fn calibrator_socket(
+    driver: &str,
+    rig: &RigConfig,
+    plate: &Arc<Mutex<Plate>>,
+    start: tokio::time::Instant,
+) -> Result<Opener, OpenError> {
+    let faults = match driver {
+        "fluke_418x" => &rig.calibrator.faults,
+        "hart_9132" => &rig.hart_9132.faults,
+        "ir_301" => &rig.ir_301.faults,
+        _ => return Err(not_simulated(driver)),
+    };
+    let (driver, rig, plate) = (driver.to_owned(), rig.clone(), Arc::clone(plate));
+    Ok(line::opener("plate calibrator at sim", faults.clone(), start, move |stream| {
+        // The driver was found above; a socket without anything behind it would be heard at once.
+        drop(simulate_plate(&driver, &rig, stream, Arc::clone(&plate), start));
+    }))
+}
+
+fn not_simulated(driver: &str) -> OpenError {
+    OpenError::Config(format!("plate.driver: nothing simulates {driver:?}"))
+}
+
+/// Longest wait for the answer of a monitor, in s, unless the campaign file says another.
+const ANSWER_S: f64 = 1.0;
+
+/// A file without a new line for so long is stale, in s; the campaign file has to say it, so that this is never used.
+const STALE_S: f64 = 60.0;
+
+fn scaled(value: &config::MonitorValue) -> Scaled {
+    Scaled { name: value.name.clone(), scale: value.scale, offset: value.offset }
+}
+
+fn ascii_field(value: &config::MonitorValue) -> ascii_query::Field {
+    ascii_query::Field {
+        query: value.query.clone().unwrap_or_default(),
+        field: value.field.unwrap_or(0),
+        value: scaled(value),
+    }
+}
+
+fn register_value(value: &config::MonitorValue) -> modbus_registers::RegisterValue {
+    use modbus_registers::{RegisterType, Table, WordOrder};
+    modbus_registers::RegisterValue {
+        table: if value.function == Some(4) { Table::Input } else { Table::Holding },
+        register: value.register.unwrap_or(0),
+        kind: match value.kind {
+            Some(monitor::Kind::I16) => RegisterType::I16,
+            Some(monitor::Kind::U32) => RegisterType::U32,
+            Some(monitor::Kind::I32) => RegisterType::I32,
+            Some(monitor::Kind::F32) => RegisterType::F32,
+            Some(monitor::Kind::U16) | None => RegisterType::U16,
+        },
+        order: match value.word_order {
+            Some(monitor::WordOrder::LowFirst) => WordOrder::LowFirst,
+            Some(monitor::WordOrder::HighFirst) | None => WordOrder::HighFirst,
+        },
+        value: scaled(value),
+    }
 }
 
 fn no_world() -> OpenError {

@@ -6,7 +6,7 @@
 
 use crate::campaign::{StopFlag, Wish};
 use crate::config::{Config, SIMULATED};
-use crate::rigs::{OpenError, simulate_plate, simulate_trigger};
+use crate::rigs::{OpenError, simulate_plate, simulate_sensors, simulate_trigger};
 use ditd_drivers::wire::ByteStream;
 use ditd_sim::rig::camera::{SimCamera, WorldState, device_zero_ns};
 use ditd_sim::rig::chamber::World;
@@ -40,7 +40,7 @@ const WISH_POLL: Duration = Duration::from_millis(100);
 /// An instrument and where it can be reached.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Served {
-    /// `plate`, `trigger` or `camera`.
+    /// `plate`, `trigger`, `camera` or `monitor`.
     pub instrument: &'static str,
     /// The address in the campaign file.
     pub address: String,
@@ -111,6 +111,13 @@ pub async fn serve(
         let task = simulate_plate(&config.plate.driver, rig, stream, Arc::clone(&plate), start)?;
         ours.tasks.push(("plate", task));
         ours.note("plate", &config.plate.address, behind);
+    }
+    for monitor in config.monitors.iter().filter(|monitor| monitor.driver == "ascii_query") {
+        if let Some((stream, behind)) = ours.line("monitor", &monitor.address).await? {
+            let task = simulate_sensors(rig, stream, config.campaign.seed, start);
+            ours.tasks.push(("monitor", task));
+            ours.note("monitor", &monitor.address, behind);
+        }
     }
     if config.camera.address != SIMULATED {
         let address: Ipv4Addr = config.camera.address.parse().map_err(|_| {

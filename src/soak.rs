@@ -22,6 +22,8 @@ pub enum Verdict {
     GivenUp {
         /// What was missing at the end.
         reason: String,
+        /// Estimated remaining time in s, when it can be guessed.
+        eta_s: Option<f64>,
     },
 }
 
@@ -107,7 +109,7 @@ impl Judge {
 
     fn waiting(&self, since_s: f64, reason: String, eta_s: Option<f64>) -> Verdict {
         if since_s > self.rules.timeout_s {
-            Verdict::GivenUp { reason }
+            Verdict::GivenUp { reason, eta_s }
         } else {
             Verdict::Waiting { reason, eta_s }
         }

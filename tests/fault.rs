@@ -10,21 +10,21 @@
 mod common;
 
 use common::{Preset, folder};
-use ditd::campaign::{Ended, Engine, Instruments, Outcome, Recorder, StopFlag, header};
+use ditd::campaign::{Ended, Engine, Instruments, Monitors, Outcome, Recorder, StopFlag, header};
 use ditd::console::Console;
 use ditd::journal::{self, Record};
 use ditd::plan::Plan;
 use ditd::reduce::{Reduced, Total};
-use ditd::rigs::View;
+use ditd::rigs::{View, calibrator_socket};
 use ditd::session::SessionError;
 use ditd_drivers::TRIGGER_UNITS;
-use ditd_drivers::fluke_418x::Fluke418x;
-use ditd_drivers::instrument::ShotKind;
+use ditd_drivers::error::DriverError;
+use ditd_drivers::instrument::{Identity, ShotKind, ShotProgram, TriggerUnit};
 use ditd_drivers::wire::Wire;
 use ditd_sim::rig::camera::{SimCamera, WorldState};
 use ditd_sim::rig::plate::Plate;
 use ditd_sim::rig::pulse::Pulse;
-use ditd_sim::rig::{build, fluke_418x, pulser};
+use ditd_sim::rig::{build, pulser};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -51,6 +51,11 @@ struct After {
 
 /// Runs the campaign of a preset, calibration aside, on instruments that can be looked into.
 fn run(preset: &Preset) -> After {
+    run_with(preset, |instruments| instruments)
+}
+
+/// The same with instruments that something was put in between.
+fn run_with(preset: &Preset, between: impl FnOnce(Instruments) -> Instruments) -> After {
     let (source, config) = preset.parsed();
     let rig = config.rig.clone().unwrap();
     let plan = Plan::of_map(&config);
@@ -66,8 +71,10 @@ fn run(preset: &Preset) -> After {
     let (outcome, ended_ns, plate_at_end, plate_hour_later) = runtime.block_on(async {
         let start = Instant::now();
         let plate = Arc::new(Mutex::new(Plate::new(rig.plate.clone(), config.campaign.seed)));
-        let (plate_wire, far) = tokio::io::duplex(4096);
-        tokio::spawn(fluke_418x::serve(far, Arc::clone(&plate), rig.calibrator.clone(), start));
+        let model = ditd_drivers::calibrator(&config.plate.driver).unwrap();
+        let socket = calibrator_socket(&config.plate.driver, &rig, &plate, start).unwrap();
+        let plate_wire = Wire::plugged(socket, "plate calibrator at sim").await.unwrap();
+        let calibrator = (model.drive)(plate_wire);
         let (trigger_wire, far) = tokio::io::duplex(4096);
         let (unit, mut outputs) = mpsc::channel::<Pulse>(1);
         let (input, pulses) = mpsc::channel(1);
@@ -97,11 +104,13 @@ fn run(preset: &Preset) -> After {
             WorldState::default(),
             pulses,
         );
-        let mut instruments = Instruments {
-            plate: Box::new(Fluke418x::new(Wire::over(plate_wire, "plate calibrator at sim"))),
+        let instruments = Instruments {
+            plate: calibrator,
             trigger: (model.drive)(Wire::over(trigger_wire, "trigger unit at sim"), config.trigger_limits()),
             camera: Box::new(camera),
+            monitors: Monitors::default(),
         };
+        let mut instruments = between(instruments);
         let engine = Engine {
             config: &config,
             plan: &plan,
@@ -592,5 +601,98 @@ fn a_lost_frame_mislabels_nothing_when_the_pause_is_short() {
             .with("campaign.pause_s", "0.06")
             .with("campaign.retakes_max", "9"));
         after.assert_complete().assert_safe().assert_labels();
+    }
+}
+
+/// A trigger unit whose line is lost and opened again at one act, before or after the unit has obeyed.
+struct LosesLine {
+    inner: Box<dyn TriggerUnit>,
+    act: &'static str,
+    /// Acts of this name until it happens, and how often it happens then.
+    skip: u32,
+    times: u32,
+    obeys: bool,
+}
+
+impl LosesLine {
+    fn lost(&mut self, act: &str) -> Result<(), DriverError> {
+        if act != self.act || self.times == 0 {
+            return Ok(());
+        }
+        if self.skip > 0 {
+            self.skip -= 1;
+            return Ok(());
+        }
+        self.times -= 1;
+        let text = |text: &str| text.to_owned();
+        Err(DriverError::Reopened { who: text("trigger unit at sim"), doing: text(act), why: text("pulled") })
+    }
+}
+
+#[async_trait::async_trait]
+impl TriggerUnit for LosesLine {
+    async fn identify(&mut self) -> Result<Identity, DriverError> {
+        self.inner.identify().await
+    }
+    async fn program(&mut self, program: &ShotProgram) -> Result<ShotProgram, DriverError> {
+        self.lost("program")?;
+        self.inner.program(program).await
+    }
+    async fn start(&mut self) -> Result<(), DriverError> {
+        let lost = self.lost("start");
+        if lost.is_err() && !self.obeys {
+            return lost;
+        }
+        self.inner.start().await.and(lost)
+    }
+    async fn running(&mut self) -> Result<bool, DriverError> {
+        self.inner.running().await
+    }
+    async fn stop(&mut self) -> Result<(), DriverError> {
+        let lost = self.lost("stop");
+        if lost.is_err() && !self.obeys {
+            return lost;
+        }
+        self.inner.stop().await.and(lost)
+    }
+    async fn make_safe(&mut self) -> Result<(), DriverError> {
+        self.lost("make_safe")?;
+        self.inner.make_safe().await
+    }
+}
+
+fn loses_line(act: &'static str, skip: u32, times: u32, obeys: bool) -> After {
+    run_with(&Preset::small().calibrated(), |instruments| {
+        let Instruments { plate, trigger, camera, monitors } = instruments;
+        let trigger = Box::new(LosesLine { inner: trigger, act, skip, times, obeys });
+        Instruments { plate, trigger, camera, monitors }
+    })
+}
+
+/// Whether or not the unit had obeyed before its line went: clock stopped, cycles taken again, every label right, and no
+/// two injections nearer than the chamber allows.
+#[test]
+fn a_trigger_line_that_is_lost_and_back_mislabels_nothing() {
+    for (act, skip) in [("program", 0), ("start", 0), ("start", 2), ("stop", 0), ("stop", 1)] {
+        for obeys in [false, true] {
+            loses_line(act, skip, 1, obeys).assert_complete().assert_safe().assert_labels();
+        }
+    }
+}
+
+/// A loose contact: the campaign gives up, and the safe state is reached.
+#[test]
+fn a_trigger_line_that_is_lost_again_and_again_ends_safely() {
+    let after = loses_line("start", 0, 99, true);
+    assert_eq!(after.code(), 3, "{}", after.error());
+    assert!(after.error().to_string().contains("has been opened again"), "{}", after.error());
+    after.assert_safe().assert_labels();
+}
+
+/// Lost in the safe state itself: it is asked once more on the new line.
+#[test]
+fn a_trigger_line_that_is_lost_in_the_safe_state_is_asked_again() {
+    for skip in [1, 2] {
+        loses_line("make_safe", skip, 1, true).assert_safe().assert_labels();
     }
 }

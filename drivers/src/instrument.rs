@@ -67,6 +67,11 @@ pub trait Calibrator: Send {
     /// Set-point to its minimum, output left on until below 100 °C, then off. Idempotent; returns at once
     /// after commanding it, with the reading on which it decided.
     async fn make_safe(&mut self) -> Result<PlateReading, DriverError>;
+    /// What a reader of the record should know of it besides its readings, once it is prepared: settings that it holds
+    /// and calibration constants. Nothing where the line tells nothing.
+    async fn particulars(&mut self) -> Result<Vec<MonitorReading>, DriverError> {
+        Ok(Vec::new())
+    }
     /// The last digit of its display: a reading that stands still by less than this says nothing.
     fn digit(&self) -> KelvinDelta {
         KelvinDelta(0.001)

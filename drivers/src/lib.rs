@@ -12,6 +12,7 @@ pub mod instrument;
 pub mod ir_301;
 mod keyword;
 pub mod modbus;
+pub mod monitors;
 pub mod ports;
 pub mod quantity;
 pub mod quantum_9520;

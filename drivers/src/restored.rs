@@ -5,7 +5,7 @@
 //! notices a set-point that somebody else has changed. Drivers inside know nothing of it.
 
 use crate::error::DriverError;
-use crate::instrument::{Calibrator, CalibratorSettings, Identity, PlateReading};
+use crate::instrument::{Calibrator, CalibratorSettings, Identity, MonitorReading, PlateReading};
 use crate::quantity::{Kelvin, KelvinDelta};
 use async_trait::async_trait;
 
@@ -166,6 +166,19 @@ impl<C: Calibrator> Calibrator for Restored<C> {
             let reading = self.inner.make_safe().await;
             if !self.may_go_on(&reading, &mut losses) {
                 return reading;
+            }
+        }
+    }
+
+    async fn particulars(&mut self) -> Result<Vec<MonitorReading>, DriverError> {
+        let mut losses = 0;
+        loop {
+            let values = match self.restore().await {
+                Ok(()) => self.inner.particulars().await,
+                Err(lost) => Err(lost),
+            };
+            if !self.may_go_on(&values, &mut losses) {
+                return values;
             }
         }
     }

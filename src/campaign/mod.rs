@@ -4,19 +4,23 @@
 //! are all there and lie where the trigger unit put them.
 
 mod matching;
+mod monitors;
 mod recorder;
 mod stop;
 
+pub use monitors::{Exceeded, MonitorLine, Monitors, Watched};
 pub use recorder::{Label, RecordError, Recorder, crc_of};
 pub use stop::{StopFlag, Wish};
 
-use crate::config::Config;
+use crate::config::{Config, Soak};
+use crate::console::duration_words;
 use crate::journal::{CycleCount, JOURNAL_SCHEMA, Record};
 use crate::plan::{LevelPlan, Plan, Purpose};
 use crate::soak::{Judge, Verdict};
 use ditd_drivers::error::DriverError;
 use ditd_drivers::instrument::{
-    Calibrator, CalibratorSettings, Camera, CameraSettings, Frame, PlateReading, ShotProgram, TriggerUnit,
+    Calibrator, CalibratorSettings, Camera, CameraSettings, Frame, MonitorReading, PlateReading, ShotProgram,
+    TriggerUnit,
 };
 use ditd_drivers::quantity::{Kelvin, KelvinDelta};
 use matching::Matcher;
@@ -51,6 +55,10 @@ const INTEGRATION_TOLERANCE: f64 = 1e-6;
 /// Where an interrupted soak or a plate that leaves its band is soaked again, at most this often per level.
 const RESOAKS_MAX: u32 = 5;
 
+/// Lines that may be lost and opened again in the bursts of one level before the campaign gives up: a plug that was touched
+/// is one, a loose contact is many.
+const LOSSES_MAX: u32 = 3;
+
 /// The instruments of a rig.
 pub struct Instruments {
     /// Black-body plate.
@@ -59,6 +67,8 @@ pub struct Instruments {
     pub trigger: Box<dyn TriggerUnit>,
     /// Infrared camera.
     pub camera: Box<dyn Camera>,
+    /// Sources of process values.
+    pub monitors: Monitors,
 }
 
 impl std::fmt::Debug for Instruments {
@@ -78,8 +88,9 @@ pub enum CampaignError {
     Record(#[from] RecordError),
     /// The plate did not settle.
     #[error(
-        "plate calibrator: level {level} ({target_k:.2} K) has not settled in {waited_s:.0} s: {reason}. \
-         Compare [soak] with what the instrument can hold, and look for draughts."
+        "plate calibrator: level {level} ({target_k:.2} K) has not settled in {waited_s:.0} s: {reason}{}. \
+         Compare [soak] with what the instrument can hold, and look for draughts.",
+        remaining(.eta_s)
     )]
     NotSettled {
         /// Level number from 1.
@@ -90,6 +101,8 @@ pub enum CampaignError {
         waited_s: f64,
         /// What was missing.
         reason: String,
+        /// What it would still have taken, in s, where that can be guessed.
+        eta_s: Option<f64>,
     },
     /// No frame came at all.
     #[error(
@@ -137,11 +150,29 @@ pub enum CampaignError {
         /// Limit in K.
         limit_k: f64,
     },
+    /// A process value is outside of a limit of the plan.
+    #[error(
+        "monitor: {name} is {value}, {side} its limit of {limit}. Bring the rig back to its limits, or change them in [[monitor]]."
+    )]
+    OutOfLimits {
+        /// Monitor and value.
+        name: String,
+        /// What it is, in the unit of its name.
+        value: f64,
+        /// `above` or `below`.
+        side: &'static str,
+        /// The limit.
+        limit: f64,
+    },
     /// A mistake of ours inside the engine.
     #[error(
         "the campaign engine stopped on a broken assumption ({0}); the rig was brought to its safe state. Please report it."
     )]
     Internal(String),
+}
+
+fn remaining(eta_s: &Option<f64>) -> String {
+    eta_s.map_or_else(String::new, |s| format!("; it would have taken about {} more", duration_words(s)))
 }
 
 impl CampaignError {
@@ -151,7 +182,7 @@ impl CampaignError {
             Self::Driver(error) if error.is_interlock_or_limit() => 4,
             Self::Driver(error) if error.is_missing_device() => 3,
             Self::NoFrames { .. } => 3,
-            Self::Tripped { .. } | Self::TooHot { .. } => 4,
+            Self::Tripped { .. } | Self::TooHot { .. } | Self::OutOfLimits { .. } => 4,
             Self::TooManyRetakes { .. } => 5,
             Self::Driver(_) | Self::Record(_) | Self::NotSettled { .. } | Self::Internal(_) => 1,
         }
@@ -237,6 +268,15 @@ impl<E: Into<CampaignError>> From<E> for Interrupt {
 
 type Step<T> = Result<T, Interrupt>;
 
+/// What has gone wrong at a level, over its bursts.
+#[derive(Debug, Default)]
+struct Streaks {
+    /// Cycles in a row without a frame; a burst may have one cycle only.
+    silent: u32,
+    /// Lines that were lost and opened again.
+    losses: u32,
+}
+
 /// What became of one cycle.
 enum Collected {
     Complete,
@@ -246,6 +286,7 @@ enum Collected {
 impl Engine<'_> {
     /// Runs the plan to its end, to a wish, or to trouble; the safe state comes last, whatever happened.
     pub async fn run(mut self, header: Option<Record>) -> Outcome {
+        self.recorder.monitor(self.instruments.monitors.names());
         let acquired = {
             let mut acquire = Box::pin(self.acquire(header));
             // A panic inside must not leave a hot plate and an armed injector behind.
@@ -365,6 +406,10 @@ impl Engine<'_> {
         let identity = self.instruments.camera.identify().await.map_err(camera_trouble)?;
         self.note(Record::Identity { instrument: "camera".to_owned(), identity })?;
         self.instruments.plate.prepare(&calibrator_settings(self.config)).await?;
+        let values = self.instruments.plate.particulars().await?;
+        if !values.is_empty() {
+            self.note(Record::Particulars { instrument: "plate".to_owned(), values })?;
+        }
         self.prepare_camera().await
     }
 
@@ -394,13 +439,12 @@ impl Engine<'_> {
         self.instruments.camera.correct_offset().await.map_err(camera_trouble)?;
         let mut settled = true;
         let mut resoaks = 0;
-        // In a row, over bursts: a burst may have one cycle only.
-        let mut silent = 0;
+        let mut streaks = Streaks::default();
         if level.shutter_reference {
             let shutter = self.instruments.camera.shutter(true).await.map_err(camera_trouble)?;
             let mut reference = Ok(true);
             while reference.is_ok() && self.recorder.reduced().levels[index].references == 0 {
-                reference = self.burst(number, &level.program, 1, shutter, &mut silent).await;
+                reference = self.burst_to_the_end(number, &level.program, 1, shutter, &mut streaks).await;
             }
             if !matches!(reference, Err(Interrupt::CameraLost(_))) {
                 self.instruments.camera.shutter(false).await.map_err(camera_trouble)?;
@@ -424,10 +468,34 @@ impl Engine<'_> {
                 self.soak(number, level.set_point_k).await?;
             }
             self.await_flushed(&level.program).await?;
-            settled = self.burst(number, &level.program, missing, None, &mut silent).await?;
+            settled = self.burst_to_the_end(number, &level.program, missing, None, &mut streaks).await?;
         }
         self.progress.level_done(self.recorder);
         Ok(())
+    }
+
+    /// A burst, in whose middle a line may be lost and opened again: then no unit goes on by itself. Clock and camera are
+    /// stopped, and the cycles that do not count yet are left to a new burst.
+    async fn burst_to_the_end(
+        &mut self,
+        level: u32,
+        planned: &ShotProgram,
+        cycles: u32,
+        shutter: Option<Kelvin>,
+        streaks: &mut Streaks,
+    ) -> Step<bool> {
+        match self.burst(level, planned, cycles, shutter, &mut streaks.silent).await {
+            Err(Interrupt::Error(CampaignError::Driver(loss)))
+                if loss.is_reopened() && streaks.losses < LOSSES_MAX =>
+            {
+                streaks.losses += 1;
+                self.progress.note(&format!("level {}: cycles are taken again: {loss}", level + 1));
+                self.instruments.trigger.make_safe().await?;
+                self.instruments.camera.stop().await.map_err(camera_trouble)?;
+                Ok(true)
+            }
+            taken => taken,
+        }
     }
 
     /// Waits until the chamber has had its pause since the last injection, so that a burst's first blanks see no more
@@ -453,13 +521,14 @@ impl Engine<'_> {
         let taken = self.instruments.plate.set_point(Kelvin(target_k)).await?;
         self.note(Record::Done { act, level: Some(level) })?;
         let begun = Instant::now();
-        let mut judge = Judge::new(taken.0, &self.config.soak);
+        let mut judge = Judge::new(taken.0, &fresh_rules(&self.config.soak, self.instruments.plate.digit()));
         loop {
             self.heed(Wish::Pause)?;
-            let reading = self.read_plate(level).await?;
+            let (reading, values) = self.read_plate(level).await?;
             let now_s = begun.elapsed().as_secs_f64();
             match judge.push(now_s, reading.apparent.0) {
                 Verdict::Settled => {
+                    self.note_values(level, None, values)?;
                     self.note(Record::Settled { level, reading, waited_s: now_s })?;
                     return Ok(());
                 }
@@ -467,12 +536,13 @@ impl Engine<'_> {
                     let text = format!("level {}: {reason}", level + 1);
                     self.progress.waiting(&text, eta_s);
                 }
-                Verdict::GivenUp { reason } => {
+                Verdict::GivenUp { reason, eta_s } => {
                     return Err(Interrupt::Error(CampaignError::NotSettled {
                         level: level + 1,
                         target_k,
                         waited_s: now_s,
                         reason,
+                        eta_s,
                     }));
                 }
             }
@@ -555,7 +625,8 @@ impl Engine<'_> {
                 let spray = program.frame_ns(cycle, program.frames_per_cycle() - 1);
                 self.last_injection = Some((begun + Duration::from_nanos(spray)).max(Instant::now()));
             }
-            let reading = self.read_plate(level).await?;
+            let (reading, values) = self.read_plate(level).await?;
+            self.note_values(level, Some(number), values)?;
             let target = self.plan.levels[level as usize].set_point_k;
             let off = (reading.apparent.0 - target).abs();
             // `!(off <= …)` also catches a reading that is not a number.
@@ -769,10 +840,19 @@ impl Engine<'_> {
         }
     }
 
-    async fn read_plate(&mut self, level: u32) -> Step<PlateReading> {
+    /// Reads the plate and the monitors, writes both into the telemetry, and holds them against their limits.
+    async fn read_plate(&mut self, level: u32) -> Step<(PlateReading, Vec<MonitorReading>)> {
         let reading = self.instruments.plate.read().await?;
+        let round = self.instruments.monitors.read().await?;
+        for note in &round.notes {
+            self.progress.note(note);
+        }
         let t_ns = self.now_ns();
-        self.recorder.reading(t_ns, level, &reading)?;
+        self.recorder.reading(t_ns, level, &reading, &round.values)?;
+        if let Some(Exceeded { name, value, side, limit }) = round.exceeded {
+            self.note_values(level, None, round.values)?;
+            return Err(Interrupt::Error(CampaignError::OutOfLimits { name, value, side, limit }));
+        }
         if reading.tripped {
             return Err(Interrupt::Error(CampaignError::Tripped { apparent_k: reading.apparent.0 }));
         }
@@ -784,7 +864,15 @@ impl Engine<'_> {
                 limit_k,
             }));
         }
-        Ok(reading)
+        Ok((reading, round.values))
+    }
+
+    /// Keeps process values in the record; a rig without monitors has none.
+    fn note_values(&mut self, level: u32, cycle: Option<u32>, values: Vec<MonitorReading>) -> Step<()> {
+        if !values.is_empty() {
+            self.note(Record::ProcessValues { level, cycle, values })?;
+        }
+        Ok(())
     }
 
     fn reject(&mut self, level: u32, cycle: u32, reason: String) -> Step<()> {
@@ -854,9 +942,12 @@ const OVERSHOOT_ALLOWED_K: f64 = 10.0;
 /// an earlier one could not be reached. Returns what could not be confirmed.
 pub async fn safe_state(instruments: &mut Instruments) -> Vec<DriverError> {
     let mut trouble = Vec::new();
-    if let Err(error) = instruments.trigger.make_safe().await {
-        trouble.push(error);
+    let mut made = instruments.trigger.make_safe().await;
+    if made.as_ref().is_err_and(DriverError::is_reopened) {
+        // The line is there again, and nothing was repeated yet.
+        made = instruments.trigger.make_safe().await;
     }
+    trouble.extend(made.err());
     if let Err(error) = instruments.camera.make_safe().await {
         trouble.push(error);
     }
@@ -865,6 +956,19 @@ pub async fn safe_state(instruments: &mut Instruments) -> Vec<DriverError> {
     }
     trouble
 }
+
+/// The rules of settling for a display whose last digit is `digit`. A reading that stands still says that the display
+/// froze only where its digit is finer than what a settled plate moves; a coarser one may stand still for all of the hold
+/// time, so that twice that time is allowed.
+fn fresh_rules(rules: &Soak, digit: KelvinDelta) -> Soak {
+    let is_fine = digit.0 <= FINE_DIGIT_K;
+    let stale_s = if is_fine { rules.stale_s } else { rules.stale_s.max(2.0 * rules.hold_s) };
+    Soak { stale_s, ..rules.clone() }
+}
+
+/// Finest digit at which a settled plate may stand still: black bodies of this kind are stable to 0.05 K at best, with
+/// periods of a minute or two (Technical Guide of the 418x, specifications).
+const FINE_DIGIT_K: f64 = 0.01;
 
 /// What the calibrator is told.
 pub fn calibrator_settings(config: &Config) -> CalibratorSettings {

@@ -3,7 +3,7 @@
 use crate::files::npy::{NpyBlock, NpyError};
 use crate::journal::{Entry, Journal, JournalError, Record};
 use crate::reduce::{FrameSource, ReduceError, Reduced};
-use ditd_drivers::instrument::{Frame, PlateReading, ShotKind};
+use ditd_drivers::instrument::{Frame, MonitorReading, PlateReading, ShotKind};
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -66,6 +66,10 @@ pub struct Recorder {
     folder: PathBuf,
     journal: Journal,
     telemetry: BufWriter<File>,
+    /// The telemetry has its first line.
+    headed: bool,
+    /// Full names of the process values, in the order of their columns.
+    monitored: Vec<String>,
     blocks: BTreeMap<String, NpyBlock>,
     recent: Recent,
     reduced: Reduced,
@@ -92,11 +96,7 @@ impl Recorder {
     /// [`RecordError`] when a file cannot be made.
     pub fn create(folder: &Path, reduced: Reduced, rows: usize, columns: usize) -> Result<Self, RecordError> {
         let journal = Journal::create(&folder.join("journal.jsonl"))?;
-        let mut recorder = Self::with_journal(folder, journal, reduced, rows, columns)?;
-        recorder.telemetry_line(
-            "t_ns,level,plate_apparent_k,plate_block_k,plate_set_point_k,plate_stable,plate_tripped",
-        )?;
-        Ok(recorder)
+        Self::with_journal(folder, journal, reduced, rows, columns)
     }
 
     /// Goes on with a record: the journal's entries are folded with frames from disk.
@@ -129,12 +129,15 @@ impl Recorder {
         let path = folder.join("telemetry.csv");
         let telemetry = File::options().create(true).append(true).open(&path);
         let telemetry = telemetry.map_err(|source| RecordError::Io { path: path.clone(), source })?;
+        let headed = telemetry.metadata().is_ok_and(|metadata| metadata.len() > 0);
         let frames = folder.join("frames");
         std::fs::create_dir_all(&frames).map_err(|source| RecordError::Io { path: frames, source })?;
         Ok(Self {
             folder: folder.to_owned(),
             journal,
             telemetry: BufWriter::new(telemetry),
+            headed,
+            monitored: Vec::new(),
             blocks: BTreeMap::new(),
             recent: Recent::default(),
             reduced,
@@ -148,6 +151,11 @@ impl Recorder {
     pub fn without_waiting(mut self) -> Self {
         self.durable = false;
         self
+    }
+
+    /// Names the process values that readings will have: columns of the telemetry after those of the plate.
+    pub fn monitor(&mut self, names: Vec<String>) {
+        self.monitored = names;
     }
 
     /// The run folder.
@@ -223,13 +231,20 @@ impl Recorder {
         self.record(t_ns, record)
     }
 
-    /// One line of telemetry.
+    /// One line of telemetry. A process value that could not be read is an empty field.
     ///
     /// # Errors
     ///
     /// [`RecordError::Io`] when the disk refuses.
-    pub fn reading(&mut self, t_ns: u64, level: u32, reading: &PlateReading) -> Result<(), RecordError> {
-        self.telemetry_line(&format!(
+    pub fn reading(
+        &mut self,
+        t_ns: u64,
+        level: u32,
+        reading: &PlateReading,
+        values: &[MonitorReading],
+    ) -> Result<(), RecordError> {
+        self.head_telemetry()?;
+        let mut line = format!(
             "{t_ns},{},{:.4},{:.4},{:.4},{},{}",
             level + 1,
             reading.apparent.0,
@@ -237,6 +252,25 @@ impl Recorder {
             reading.set_point.0,
             u8::from(reading.stable),
             u8::from(reading.tripped)
+        );
+        for name in &self.monitored {
+            line.push(',');
+            if let Some(value) = values.iter().find(|value| value.name == *name) {
+                line.push_str(&format!("{:?}", value.value));
+            }
+        }
+        self.telemetry_line(&line)
+    }
+
+    /// The first line, once.
+    fn head_telemetry(&mut self) -> Result<(), RecordError> {
+        if self.headed {
+            return Ok(());
+        }
+        self.headed = true;
+        let columns = self.monitored.iter().map(|name| format!(",{name}")).collect::<String>();
+        self.telemetry_line(&format!(
+            "t_ns,level,plate_apparent_k,plate_block_k,plate_set_point_k,plate_stable,plate_tripped{columns}"
         ))
     }
 
@@ -247,6 +281,7 @@ impl Recorder {
     /// [`RecordError`] when the disk refuses.
     pub fn close(&mut self) -> Result<(), RecordError> {
         self.flush_frames()?;
+        self.head_telemetry()?;
         self.blocks.clear();
         self.telemetry.flush().map_err(|source| self.telemetry_error(source))?;
         self.journal.sync()?;

@@ -1,16 +1,17 @@
 //! Limits and impossible combinations of a campaign file. Pure.
 
-use super::{Config, Pace, SIMULATED};
+use super::{Config, Pace, SIMULATED, monitor};
 use crate::estimate::mask::Limits;
 use crate::plan::{Plan, Purpose};
 use ditd_drivers::gige::GigeSettings;
 use ditd_drivers::trigger_limits::{self, About};
-use ditd_drivers::{TRIGGER_UNITS, TriggerModel};
+use ditd_drivers::{CALIBRATORS, TRIGGER_UNITS, TriggerModel};
 use ditd_sim::light::air::{AirPath, Atmosphere};
 use ditd_sim::light::band::Response;
 use ditd_sim::light::fuel::Fuel;
 use ditd_sim::light::window::{Material, WindowError};
 use ditd_sim::rig::RigError;
+use ditd_sim::rig::process::ProcessConfig;
 use ditd_sim::scene::library;
 
 /// Something that cannot be done as written.
@@ -32,6 +33,7 @@ pub(super) fn problems(config: &Config) -> Vec<Problem> {
     soak(config, &mut found);
     instruments(config, &mut found);
     optics(config, &mut found);
+    monitor::problems(config, &mut found);
     world(config, &mut found);
     // Times that are no times are named above; a plan is made of good ones only.
     if found.is_empty() {
@@ -168,9 +170,7 @@ fn instruments(config: &Config, found: &mut Vec<Problem>) {
             "`sim` needs a [rig] table that describes the simulated world".to_owned()
         });
     }
-    require(found, config.plate.driver == "fluke_418x", "plate.driver", || {
-        format!("unknown driver {:?}; there is: fluke_418x", config.plate.driver)
-    });
+    plate(config, found);
     let driver = config.trigger.driver.as_str();
     require(found, trigger_model(config).is_some(), "trigger.driver", || {
         let names: Vec<_> = TRIGGER_UNITS.iter().map(|model| model.name).collect();
@@ -184,28 +184,6 @@ fn instruments(config: &Config, found: &mut Vec<Problem>) {
             .to_owned()
     });
     camera_driver(config, found);
-    require(found, config.monitors.is_empty(), "monitor.driver", || {
-        "no monitor drivers are built in yet: remove the [[monitor]] tables".to_owned()
-    });
-    require(found, (258.0..=773.15).contains(&config.plate.limit_k), "plate.limit_k", || {
-        format!("must lie between 258 and 773 K, found {}", config.plate.limit_k)
-    });
-    require(
-        found,
-        (0.9..=1.0).contains(&config.plate.display_emissivity),
-        "plate.display_emissivity",
-        || "the display's emissivity setting goes from 0.90 to 1.00".to_owned(),
-    );
-    // 418x manual, command table: SOUR:RATE 0.10 … 500, SOUR:STAB:LIM 0.01 … 5.
-    require(found, (0.1..=500.0).contains(&config.plate.rate_k_per_min), "plate.rate_k_per_min", || {
-        format!(
-            "the calibrator's scan rate goes from 0.1 to 500 K/min, found {}",
-            config.plate.rate_k_per_min
-        )
-    });
-    require(found, (0.01..=5.0).contains(&config.plate.stability_k), "plate.stability_k", || {
-        format!("the calibrator's stability limit goes from 0.01 to 5 K, found {}", config.plate.stability_k)
-    });
     let t = &config.trigger;
     positive(found, t.injection_s, "trigger.injection_s", "seconds");
     positive(found, t.injection_limit_s, "trigger.injection_limit_s", "seconds");
@@ -270,6 +248,54 @@ fn camera_driver(config: &Config, found: &mut Vec<Problem>) {
     });
     if let Some(Err((key, why))) = c.gige.as_ref().map(GigeSettings::check) {
         found.push(Problem { key: format!("camera.gige.{key}"), message: why });
+    }
+}
+
+/// The calibrator: what its driver would refuse.
+fn plate(config: &Config, found: &mut Vec<Problem>) {
+    let driver = config.plate.driver.as_str();
+    let model = ditd_drivers::calibrator(driver);
+    require(found, model.is_some(), "plate.driver", || {
+        let names: Vec<&str> = CALIBRATORS.iter().map(|model| model.name).collect();
+        format!("unknown driver {driver:?}; there are: {}", names.join(", "))
+    });
+    for (key, seconds) in
+        [("plate.reopen_s", config.plate.reopen_s), ("trigger.reopen_s", config.trigger.reopen_s)]
+    {
+        require(found, (0.0..=3600.0).contains(&seconds), key, || format!("0 to 3600 s, found {seconds}"));
+    }
+    require(found, (258.0..=773.15).contains(&config.plate.limit_k), "plate.limit_k", || {
+        format!("must lie between 258 and 773 K, found {}", config.plate.limit_k)
+    });
+    require(
+        found,
+        (0.9..=1.0).contains(&config.plate.display_emissivity),
+        "plate.display_emissivity",
+        || "the display's emissivity setting goes from 0.90 to 1.00".to_owned(),
+    );
+    // 418x manual, command table: SOUR:RATE 0.10 … 500, SOUR:STAB:LIM 0.01 … 5.
+    require(found, (0.1..=500.0).contains(&config.plate.rate_k_per_min), "plate.rate_k_per_min", || {
+        format!(
+            "the calibrator's scan rate goes from 0.1 to 500 K/min, found {}",
+            config.plate.rate_k_per_min
+        )
+    });
+    require(found, (0.01..=5.0).contains(&config.plate.stability_k), "plate.stability_k", || {
+        format!("the calibrator's stability limit goes from 0.01 to 5 K, found {}", config.plate.stability_k)
+    });
+    // Where the set-point's end is known before the instrument is asked.
+    let highest = model.and_then(|model| model.set_point_max);
+    let Some(highest_k) = highest.map(|highest| highest(config.plate.display_emissivity).0) else { return };
+    let calibration = config.calibration.iter().flat_map(|calibration| &calibration.levels_k);
+    for (key, level) in (config.campaign.levels_k.iter().map(|level| ("campaign.levels_k", level)))
+        .chain(calibration.map(|level| ("calibration.levels_k", level)))
+    {
+        require(found, *level <= highest_k + 0.005, key, || {
+            format!(
+                "{level} K: at plate.display_emissivity = {} the instrument's set-point ends at {highest_k:.2} K",
+                config.plate.display_emissivity
+            )
+        });
     }
 }
 
@@ -343,9 +369,14 @@ fn world(config: &Config, found: &mut Vec<Problem>) {
         };
         found.push(Problem { key, message });
     }
-    for (table, checked) in
-        [("plate", rig.plate.check()), ("calibrator", rig.calibrator.check()), ("pulser", rig.pulser.check())]
-    {
+    for (table, checked) in [
+        ("plate", rig.plate.check()),
+        ("calibrator", rig.calibrator.check()),
+        ("hart_9132", rig.hart_9132.check()),
+        ("ir_301", rig.ir_301.check()),
+        ("pulser", rig.pulser.check()),
+        ("process", rig.process.as_ref().map_or(Ok(()), ProcessConfig::check)),
+    ] {
         if let Err(message) = checked {
             let key = message.split([' ', ':']).next().unwrap_or_default();
             found.push(Problem { key: format!("rig.{table}.{key}"), message: message.clone() });

@@ -116,17 +116,34 @@ fn explain(message: &str) -> (String, Vec<String>) {
     (headline.replace("unknown field", "unknown key").trim().to_owned(), hints)
 }
 
-/// Finds the line of `table.key` (or a top-level `key`) by reading headers and assignments.
+/// Finds the line of `table.key` (or a top-level `key`) by reading headers and assignments. A part such as `monitor[1]`
+/// means the second table of an array of tables.
 fn locate(text: &str, path: &str) -> Option<Place> {
     let (table, key) = path.rsplit_once('.').unwrap_or(("", path));
     let mut current = String::new();
     let mut header = None;
+    // How many tables of each array were seen; those within a table begin anew with it.
+    let mut seen: Vec<(String, usize)> = Vec::new();
+    let mut outermost = None;
     for (index, line) in text.lines().enumerate() {
         let trimmed = line.trim();
         if trimmed.starts_with('[') {
-            current = trimmed.split(']').next().unwrap_or("").trim_matches('[').trim().to_owned();
-            if current == table {
+            let name = trimmed.split(']').next().unwrap_or("").trim_matches('[').trim();
+            if trimmed.starts_with("[[") {
+                seen.retain(|(other, _)| !other.starts_with(&format!("{name}.")));
+                match seen.iter_mut().find(|(other, _)| other == name) {
+                    Some((_, count)) => *count += 1,
+                    None => seen.push((name.to_owned(), 0)),
+                }
+            }
+            current = numbered(name, &seen);
+            // A path may name an array's table by its number or, when there is one only, without.
+            if current == table || name == table && header.is_none() {
                 header = Some((index, line));
+                current = table.to_owned();
+            } else if table.starts_with(&format!("{current}.")) {
+                // Values written inline have no header of their own.
+                outermost = Some((index, line));
             }
         } else if current == table {
             let name = trimmed.split('=').next().unwrap_or("").trim();
@@ -136,10 +153,29 @@ fn locate(text: &str, path: &str) -> Option<Place> {
             }
         }
     }
-    header.map(|(index, line)| Place {
+    header.or(outermost).map(|(index, line)| Place {
         line: index + 1,
         column: 1,
         length: line.len(),
         text: line.to_owned(),
     })
+}
+
+/// A header's name with the number of each array of tables in it.
+fn numbered(name: &str, seen: &[(String, usize)]) -> String {
+    let mut path = String::new();
+    let mut out = String::new();
+    for part in name.split('.').map(str::trim) {
+        if !path.is_empty() {
+            path.push('.');
+            out.push('.');
+        }
+        path.push_str(part);
+        out.push_str(part);
+        if let Some((_, count)) = seen.iter().find(|(other, _)| *other == path) {
+            // Writing to a String cannot fail.
+            let _ = write!(out, "[{count}]");
+        }
+    }
+    out
 }

@@ -6,9 +6,11 @@
 
 mod check;
 mod diagnose;
+pub mod monitor;
 
 pub use check::Problem;
 pub use diagnose::ConfigError;
+pub use monitor::{Monitor, MonitorValue};
 
 use crate::estimate::mask::Limits;
 use ditd_drivers::gige::GigeSettings;
@@ -144,12 +146,15 @@ pub struct Soak {
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Plate {
-    /// Driver: the name of its file (`fluke_418x`).
+    /// Driver: the name of its file (`fluke_418x`, `hart_9132`, `ir_301`).
     pub driver: String,
     /// `sim`, `serial:/dev/…` or `tcp:host:port`.
     pub address: String,
-    /// Baud rate of a serial line; absent: the instrument's default (9600).
+    /// Baud rate of a serial line; absent: the instrument's default.
     pub baud: Option<u32>,
+    /// A line that has gone (unplugged, reset) is tried to be opened again for so long, in s; 0: never.
+    #[serde(default = "default_reopen_s")]
+    pub reopen_s: f64,
     /// No set-point above this leaves the program, in K.
     pub limit_k: f64,
     /// Emissivity setting of the display (0.90 … 1.00).
@@ -170,6 +175,10 @@ pub struct Trigger {
     pub address: String,
     /// Baud rate of a serial line; absent: the instrument's default.
     pub baud: Option<u32>,
+    /// A line that has gone (unplugged, reset) is tried to be opened again for so long, in s; 0: never. No burst is
+    /// ever started again by that.
+    #[serde(default = "default_reopen_s")]
+    pub reopen_s: f64,
     /// Length of the injector's pulse, in s.
     pub injection_s: f64,
     /// From the start of the injector's pulse to the start of the exposure, in s: the instant of the spray that is seen.
@@ -182,6 +191,10 @@ pub struct Trigger {
     /// (docs/INSTRUMENTS.md, Trigger units); absent: no.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub prescaler_checked: bool,
+}
+
+fn default_reopen_s() -> f64 {
+    10.0
 }
 
 /// `[camera]`
@@ -212,18 +225,6 @@ pub struct Camera {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<serde_json::Value>")]
     pub gige: Option<GigeSettings>,
-}
-
-/// `[[monitor]]`
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Monitor {
-    /// Name in the telemetry.
-    pub name: String,
-    /// Driver.
-    pub driver: String,
-    /// Address.
-    pub address: String,
 }
 
 /// `[optics]`
@@ -318,9 +319,9 @@ impl Config {
     /// Whether every instrument is simulated inside this program. A rig that is simulated behind real lines
     /// (`ditd sim serve`) is real to the one that runs it.
     pub fn is_simulated(&self) -> bool {
-        [&self.plate.address, &self.trigger.address, &self.camera.address]
-            .iter()
-            .all(|address| *address == SIMULATED)
+        let instruments = [&self.plate.address, &self.trigger.address, &self.camera.address];
+        let monitors = self.monitors.iter().map(|monitor| &monitor.address);
+        instruments.into_iter().chain(monitors).all(|address| address == SIMULATED)
     }
 
     /// The same campaign with every instrument simulated inside this program, in virtual time.
@@ -330,6 +331,9 @@ impl Config {
         for address in [&mut inside.plate.address, &mut inside.trigger.address, &mut inside.camera.address] {
             SIMULATED.clone_into(address);
         }
+        // Of monitors only those can be inside whose queries the simulated sensors are asked.
+        inside.monitors.retain(|monitor| matches!(monitor.driver.as_str(), "ascii_query" | "sim"));
+        inside.monitors.iter_mut().for_each(|monitor| SIMULATED.clone_into(&mut monitor.address));
         SIMULATED.clone_into(&mut inside.camera.driver);
         inside.camera.gige = None;
         inside.campaign.pace = Pace::Max;

@@ -2,7 +2,7 @@
 
 use super::codec::{Command, Header, Model, decode_celsius, decode_flag, decode_identity, decode_number};
 use crate::error::DriverError;
-use crate::instrument::{Calibrator, CalibratorSettings, Identity, PlateReading};
+use crate::instrument::{Calibrator, CalibratorSettings, Identity, MonitorReading, PlateReading};
 use crate::quantity::Kelvin;
 use crate::wire::{LineHabits, Sign, Wire};
 use async_trait::async_trait;
@@ -375,6 +375,28 @@ impl Calibrator for Fluke418x {
             self.force_formats().await?;
         }
         last
+    }
+
+    async fn particulars(&mut self) -> Result<Vec<MonitorReading>, DriverError> {
+        let doing = "reading its settings";
+        let mut values = Vec::new();
+        // The display is a radiometric calibration at these; what another band makes of it is judged elsewhere.
+        for (name, header) in [
+            ("display_emissivity_fraction", Header::Emissivity),
+            ("calibration_emissivity_fraction", Header::CalibrationEmissivity),
+            ("calibration_wavelength_code", Header::CalibrationWavelength),
+            ("stability_limit_k", Header::StabilityLimit),
+            ("stability_k", Header::Stability),
+            ("scan_rate_k_per_min", Header::Rate),
+        ] {
+            let value = self.query(header, decode_number, doing).await?;
+            values.push(MonitorReading { name: name.to_owned(), value });
+        }
+        for (name, header) in [("soft_cutout_k", Header::SoftCutout), ("hard_cutout_k", Header::HardCutout)] {
+            let celsius = self.query(header, decode_celsius, doing).await?;
+            values.push(MonitorReading { name: name.to_owned(), value: Kelvin::from_celsius(celsius).0 });
+        }
+        Ok(values)
     }
 
     async fn make_safe(&mut self) -> Result<PlateReading, DriverError> {

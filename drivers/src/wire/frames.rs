@@ -3,14 +3,14 @@
 //! For Modbus RTU and its like. Knows neither functions nor checksums: how bytes are cut into frames, and which frame is
 //! whole, is told by [`FrameHabits`].
 
-use super::{QUIET, Wire};
+use super::{QUIET, RESYNC_TRIES, Wire};
 use crate::error::DriverError;
 use std::fmt::Write as _;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Tries of the recognisable question on a suspect line; less than for text, since silence is an answer here too.
-const SIGN_TRIES: u32 = 2;
+/// Tries of the recognisable question on a suspect line of an instrument that never answered it: silence is its answer.
+const UNKNOWN_SIGN_TRIES: u32 = 2;
 
 /// Most bytes that wait to be cut: two of the longest Modbus frames.
 const BYTES_MAX: usize = 512;
@@ -100,11 +100,12 @@ impl Wire {
         Ok(answer)
     }
 
-    /// Drains the line and asks the recognisable question. An instrument that does not know it stays silent; then the
-    /// line has been silent for [`SIGN_TRIES`] deadlines, and nothing late is on its way any more.
+    /// Drains the line and asks the recognisable question. An instrument that never answered it may not know it; then the
+    /// line has been silent for [`UNKNOWN_SIGN_TRIES`] deadlines, and it is tried with the real question.
     async fn resync_frames(&mut self, habits: &FrameHabits, doing: &str) -> Result<(), DriverError> {
         let mut heard = 0;
-        for _ in 0..SIGN_TRIES {
+        let tries = if self.sign_known { RESYNC_TRIES } else { UNKNOWN_SIGN_TRIES };
+        for _ in 0..tries {
             heard += self.drain(habits.gap, doing).await?;
             let Some(sign) = &habits.sign else {
                 let quiet = if self.owed { self.habits.deadline } else { Duration::ZERO };
@@ -129,15 +130,16 @@ impl Wire {
             }
             heard += self.received.len();
             if recognised && self.no_bytes_for(QUIET.max(habits.gap), doing, |_| false).await? {
+                self.sign_known = true;
                 self.trust();
                 return Ok(());
             }
         }
-        if heard == 0 {
+        if heard == 0 && !self.sign_known {
             self.trust();
             return Ok(());
         }
-        Err(self.not_found_again(doing, "a question of known answer", true, SIGN_TRIES))
+        Err(self.not_found_again(doing, "a question of known answer", heard > 0, tries))
     }
 
     /// The next frame, or why the bytes at hand are none (they stay); `None` when no whole one is there by `until`.

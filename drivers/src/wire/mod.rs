@@ -55,6 +55,8 @@ pub struct Wire {
     free_at: Instant,
     opener: Option<Opener>,
     reopening: Reopening,
+    /// The instrument has answered its recognisable frame before, so that silence is no answer to it.
+    sign_known: bool,
     /// Bits per second, where the line has such a thing.
     baud: Option<u32>,
     /// The stream has ended, and no other is there.
@@ -77,6 +79,7 @@ impl Wire {
             free_at: Instant::now(),
             opener: None,
             reopening: Reopening::never(),
+            sign_known: false,
             baud: None,
             gone: false,
         }

@@ -8,7 +8,10 @@
 use super::RigError;
 use super::fluke_418x::FlukeBehaviour;
 use super::gige::{GigeFault, Preset};
+use super::hart_9132::HartBehaviour;
+use super::ir_301::Ir301Behaviour;
 use super::plate::PlateModel;
+use super::process::ProcessConfig;
 use super::pulser::PulserBehaviour;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -40,9 +43,17 @@ pub struct RigConfig {
     pub faults: Vec<Fault>,
     /// The plate and its controller.
     pub plate: PlateModel,
-    /// The calibrator's side of its line; a well-behaved 4181 when absent.
+    /// The side of its line of a calibrator `fluke_418x`; a well-behaved 4181 when absent.
     #[serde(default = "FlukeBehaviour::fluke_4181")]
     pub calibrator: FlukeBehaviour,
+    /// The same for `hart_9132`; well behaved when absent.
+    #[serde(default = "HartBehaviour::delivered")]
+    pub hart_9132: HartBehaviour,
+    /// The same for `ir_301`; well behaved when absent.
+    #[serde(default = "Ir301Behaviour::delivered")]
+    pub ir_301: Ir301Behaviour,
+    /// Sensors besides those of chamber and windows, noise and faults of all; absent: none.
+    pub process: Option<ProcessConfig>,
     /// The trigger unit's side of its line; well behaved when absent. Which model it is `trigger.driver` says.
     #[serde(default = "PulserBehaviour::delivered")]
     pub pulser: PulserBehaviour,

@@ -45,6 +45,12 @@ pub struct FlukeBehaviour {
     /// Conditional protection is on: keypad lock and soft cutout ask for the password.
     #[serde(default)]
     pub protected: bool,
+    /// Level of its soft cutout in °C; as delivered when absent.
+    pub soft_cutout_c: Option<f64>,
+    /// Somebody sets it to °F at the keypad at this time, in seconds of the rig's clock.
+    pub fahrenheit_at_s: Option<f64>,
+    /// Somebody switches its output off at this time, in seconds of the rig's clock.
+    pub output_off_at_s: Option<f64>,
     /// What goes wrong on the line; nothing when absent.
     #[serde(default)]
     pub faults: Vec<LineFault>,
@@ -60,6 +66,9 @@ impl FlukeBehaviour {
             fahrenheit: false,
             decimal_comma: false,
             protected: false,
+            soft_cutout_c: None,
+            fahrenheit_at_s: None,
+            output_off_at_s: None,
             faults: Vec::new(),
         }
     }
@@ -70,6 +79,11 @@ impl FlukeBehaviour {
     /// Names the key whose value is impossible.
     pub fn check(&self) -> Result<(), String> {
         check_seconds("reply_delay_s", self.reply_delay_s)?;
+        self.fahrenheit_at_s.iter().try_for_each(|at_s| check_seconds("fahrenheit_at_s", *at_s))?;
+        self.output_off_at_s.iter().try_for_each(|at_s| check_seconds("output_off_at_s", *at_s))?;
+        if self.soft_cutout_c.is_some_and(|level| !(0.0..=520.0).contains(&level)) {
+            return Err("soft_cutout_c: 0 to 520".to_owned());
+        }
         self.faults.iter().try_for_each(LineFault::check)
     }
 
@@ -98,7 +112,7 @@ pub async fn serve(
     let mut line = Line::new(stream, behaviour.faults.clone(), Unsent::Lost, start);
     let mut unit = Unit::new(&behaviour, plate);
     while let Some(command) = line.next_command().await {
-        unit.plate().advance(line.now_s());
+        unit.look(line.now_s());
         let answered = match command {
             Ok(text) => unit.obey(&text),
             Err(_) => Err(Complaint::Command(CommandError::Undefined)),
@@ -143,6 +157,8 @@ struct Unit {
     derivative_s: f64,
     constants: [f64; 3],
     presets_c: [f64; 8],
+    fahrenheit_at_s: Option<f64>,
+    output_off_at_s: Option<f64>,
 }
 
 /// One numeric setting: where it is, its range and its value at delivery.
@@ -154,6 +170,10 @@ struct Range {
 
 impl Unit {
     fn new(behaviour: &FlukeBehaviour, plate: Arc<Mutex<Plate>>) -> Self {
+        if let Some(level) = behaviour.soft_cutout_c {
+            let mut held = plate.lock().expect("no user of the plate panics while holding it");
+            held.settings.cutout_k = Kelvin::from_celsius(level).0;
+        }
         Self {
             plate,
             model: behaviour.model,
@@ -174,6 +194,21 @@ impl Unit {
             derivative_s: 0.0,
             constants: [0.0; 3],
             presets_c: [35.0, 100.0, 150.0, 200.0, 250.0, 300.0, 400.0, 500.0],
+            fahrenheit_at_s: behaviour.fahrenheit_at_s,
+            output_off_at_s: behaviour.output_off_at_s,
+        }
+    }
+
+    /// Goes on to a moment of the rig's clock, and plays what somebody does at the keypad.
+    fn look(&mut self, now_s: f64) {
+        self.plate().advance(now_s);
+        if self.fahrenheit_at_s.is_some_and(|at_s| at_s <= now_s) {
+            self.fahrenheit_at_s = None;
+            self.fahrenheit = true;
+        }
+        if self.output_off_at_s.is_some_and(|at_s| at_s <= now_s) {
+            self.output_off_at_s = None;
+            self.plate().settings.output_on = false;
         }
     }
 
@@ -617,6 +652,48 @@ mod tests {
             let error = driver.prepare(&bad).await.unwrap_err();
             assert!(matches!(error, DriverError::Limit { .. }), "{error}");
         }
+    }
+
+    /// The unit's own soft cutout is read; a level that would trip it on arrival is refused.
+    #[tokio::test(start_paused = true)]
+    async fn the_units_own_soft_cutout_is_a_limit() {
+        let behaviour = FlukeBehaviour { soft_cutout_c: Some(150.0), ..FlukeBehaviour::fluke_4181() };
+        let (mut driver, plate) = prepared(behaviour, model()).await;
+        driver.set_point(Kelvin::from_celsius(144.9)).await.unwrap();
+        let error = driver.set_point(Kelvin::from_celsius(146.0)).await.unwrap_err();
+        assert!(error.to_string().contains("soft cutout trips at 150 °C"), "{error}");
+        assert!((plate.lock().unwrap().settings.set_point_k - 418.05).abs() < 0.01);
+    }
+
+    /// °F set at the keypad in the middle, as the paper's levels would be read 100 to 200 K too high.
+    #[tokio::test(start_paused = true)]
+    async fn fahrenheit_in_the_middle_changes_no_reading_and_no_set_point() {
+        for at_s in [0.5, 300.0, 300.2] {
+            let behaviour = FlukeBehaviour { fahrenheit_at_s: Some(at_s), ..FlukeBehaviour::fluke_4181() };
+            let (mut driver, plate) = prepared(behaviour, model()).await;
+            for index in 0..600 {
+                let target_k = 330.0 + f64::from(index % 7);
+                let taken = driver.set_point(Kelvin(target_k)).await.unwrap();
+                assert!((taken.0 - target_k).abs() < 0.006);
+                assert!((plate.lock().unwrap().settings.set_point_k - target_k).abs() < 0.006, "at {at_s} s");
+                let reading = driver.read().await.unwrap();
+                assert!((reading.set_point.0 - target_k).abs() < 0.006, "{reading:?}");
+                let true_k = plate.lock().unwrap().surface_k();
+                assert!((reading.apparent.0 - true_k).abs() < 2.0, "{reading:?} {true_k}");
+                sleep(Duration::from_millis(700)).await;
+            }
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn an_output_that_somebody_switched_off_is_told() {
+        let behaviour = FlukeBehaviour { output_off_at_s: Some(60.0), ..FlukeBehaviour::fluke_4181() };
+        let (mut driver, _plate) = prepared(behaviour, model()).await;
+        driver.set_point(Kelvin(373.0)).await.unwrap();
+        driver.read().await.unwrap();
+        sleep(Duration::from_secs(60)).await;
+        let error = driver.read().await.unwrap_err();
+        assert!(error.to_string().contains("output was switched off"), "{error}");
     }
 
     #[tokio::test(start_paused = true)]

@@ -1,8 +1,10 @@
 //! The instrument's end of a line: commands in, replies out, and what can go wrong between.
 //!
-//! Replies leave in the order in which they were made. Knows no command of any instrument.
+//! Replies, lines of text or frames of bytes, leave in the order in which they were made. A line can be pulled and
+//! plugged in again: [`opener`] is the socket of a simulated instrument. Knows no command of any instrument.
 
-use ditd_drivers::wire::{Garbage, LineDecoder, is_nobody_there};
+use ditd_drivers::error::DriverError;
+use ditd_drivers::wire::{ByteStream, FrameCut, Garbage, LineDecoder, Opener, is_nobody_there};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::io;
@@ -12,6 +14,9 @@ use tokio::time::{Instant, sleep, sleep_until};
 
 /// Replies that wait to be sent at most; beyond, new ones are dropped, as a real output buffer does.
 const REPLIES_WAITING_MAX: usize = 64;
+
+/// Bytes that an in-memory wire holds before the sender waits: longer than any line of any protocol.
+const PIPE_BYTES: usize = 4096;
 
 /// How long to wait when nobody has the other end of a pseudo-terminal open.
 const NOBODY_THERE: Duration = Duration::from_millis(200);
@@ -47,6 +52,13 @@ pub enum LineFault {
         /// Since when.
         from_s: f64,
     },
+    /// The plug is pulled and put back later. Whatever the unit remembers besides its plate is then as at delivery.
+    Unplugged {
+        /// When it is pulled.
+        at_s: f64,
+        /// For how long.
+        for_s: f64,
+    },
 }
 
 impl LineFault {
@@ -63,6 +75,9 @@ impl LineFault {
                 check_every(*every)
             }
             Self::Silent { from_s } => check_seconds("from_s", *from_s),
+            Self::Unplugged { at_s, for_s } => {
+                check_seconds("at_s", *at_s).and_then(|()| check_seconds("for_s", *for_s))
+            }
         }
     }
 }
@@ -79,6 +94,35 @@ pub(super) fn check_seconds(name: &str, seconds: f64) -> Result<(), String> {
     } else {
         Err(format!("{name} = {seconds}: expected seconds from 0 to 1e9"))
     }
+}
+
+/// The socket of a simulated instrument: each opening gives one end of an in-memory wire, and `serve` the other, unless
+/// one of `faults` has it unplugged just then. `start` is the zero of the rig's clock.
+pub fn opener(
+    who: impl Into<String>,
+    faults: Vec<LineFault>,
+    start: Instant,
+    mut serve: impl FnMut(tokio::io::DuplexStream) + Send + 'static,
+) -> Opener {
+    let who = who.into();
+    Box::new(move || {
+        let now_s = start.elapsed().as_secs_f64();
+        let is_unplugged = faults.iter().any(|fault| {
+            matches!(fault, LineFault::Unplugged { at_s, for_s } if (*at_s..at_s + for_s).contains(&now_s))
+        });
+        let opened: Result<Box<dyn ByteStream>, DriverError> = if is_unplugged {
+            Err(DriverError::Missing {
+                who: who.clone(),
+                why: "the plug is pulled".to_owned(),
+                hint: "Plug it in again.".to_owned(),
+            })
+        } else {
+            let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
+            serve(theirs);
+            Ok(Box::new(ours))
+        };
+        Box::pin(std::future::ready(opened))
+    })
 }
 
 /// How an instrument treats a reply that was not yet sent when the next command comes.
@@ -102,12 +146,13 @@ pub struct Line<S> {
     input: ReadHalf<S>,
     output: WriteHalf<S>,
     decoder: LineDecoder,
-    commands: VecDeque<Result<String, Garbage>>,
+    received: VecDeque<u8>,
     replies: VecDeque<Reply>,
     replies_made: u64,
     faults: Vec<LineFault>,
     unsent: Unsent,
     start: Instant,
+    plugged: Instant,
 }
 
 impl<S: AsyncRead + AsyncWrite> Line<S> {
@@ -118,50 +163,97 @@ impl<S: AsyncRead + AsyncWrite> Line<S> {
             input,
             output,
             decoder: LineDecoder::default(),
-            commands: VecDeque::new(),
+            received: VecDeque::new(),
             replies: VecDeque::new(),
             replies_made: 0,
             faults,
             unsent,
             start,
+            plugged: Instant::now(),
         }
     }
 
-    /// The next command; replies are sent meanwhile. `None` when the other side has gone for good. May be dropped at
-    /// any point without losing anything.
+    /// The next command; replies are sent meanwhile. `None` when the other side has gone for good or the plug was pulled.
+    /// May be dropped at any point without losing anything.
     pub async fn next_command(&mut self) -> Option<Result<String, Garbage>> {
         loop {
-            if let Some(command) = self.commands.pop_front() {
-                if self.unsent == Unsent::Lost {
-                    self.replies.retain(|reply| reply.sent > 0 || !reply.losable);
+            while let Some(byte) = self.received.pop_front() {
+                if let Some(command) = self.decoder.push(byte) {
+                    self.forget_unsent();
+                    return Some(command);
                 }
-                return Some(command);
             }
-            let mut chunk = [0; 256];
-            let due = self.replies.front().map_or_else(Instant::now, |reply| reply.due);
-            tokio::select! {
-                biased;
-                read = self.input.read(&mut chunk) => match read {
-                    Ok(0) => return None,
-                    Ok(count) => self.take(&chunk[..count]),
-                    Err(error) if is_nobody_there(&error) => sleep(NOBODY_THERE).await,
-                    Err(_) => return None,
-                },
-                sent = send(&mut self.output, self.replies.front(), due), if !self.replies.is_empty() => {
-                    match sent {
-                        Ok(count) => self.note_sent(count),
-                        Err(error) if is_nobody_there(&error) => self.replies.clear(),
-                        Err(_) => return None,
+            self.listen().await?;
+        }
+    }
+
+    /// The next frame that `cut` finds, as [`Line::next_command`]; bytes that begin none are dropped.
+    pub async fn next_frame(&mut self, cut: fn(&[u8]) -> FrameCut) -> Option<Vec<u8>> {
+        loop {
+            while !self.received.is_empty() {
+                match cut(self.received.make_contiguous()) {
+                    FrameCut::Whole(length) => {
+                        let length = length.min(self.received.len());
+                        let frame = self.received.drain(..length).collect();
+                        self.forget_unsent();
+                        return Some(frame);
                     }
+                    FrameCut::Nonsense(_) => drop(self.received.pop_front()),
+                    FrameCut::More => break,
+                }
+            }
+            self.listen().await?;
+        }
+    }
+
+    fn forget_unsent(&mut self) {
+        if self.unsent == Unsent::Lost {
+            self.replies.retain(|reply| reply.sent > 0 || !reply.losable);
+        }
+    }
+
+    /// Sends or receives something. `None` when there is nobody any more.
+    async fn listen(&mut self) -> Option<()> {
+        let mut chunk = [0; 256];
+        let due = self.replies.front().map_or_else(Instant::now, |reply| reply.due);
+        let pulled = self.pulled();
+        tokio::select! {
+            biased;
+            () = sleep_until(pulled.unwrap_or(due)), if pulled.is_some() => return None,
+            read = self.input.read(&mut chunk) => match read {
+                Ok(0) => return None,
+                Ok(count) => self.received.extend(&chunk[..count]),
+                Err(error) if is_nobody_there(&error) => sleep(NOBODY_THERE).await,
+                Err(_) => return None,
+            },
+            sent = send(&mut self.output, self.replies.front(), due), if !self.replies.is_empty() => {
+                match sent {
+                    Ok(count) => self.note_sent(count),
+                    Err(error) if is_nobody_there(&error) => self.replies.clear(),
+                    Err(_) => return None,
                 }
             }
         }
+        Some(())
+    }
+
+    /// When the plug will be pulled next; pullings from before this line was plugged in are over.
+    fn pulled(&self) -> Option<Instant> {
+        let pullings = self.faults.iter().filter_map(|fault| match fault {
+            LineFault::Unplugged { at_s, .. } => Some(self.start + Duration::from_secs_f64(*at_s)),
+            _ => None,
+        });
+        pullings.filter(|at| *at > self.plugged).min()
     }
 
     /// Queues a reply, with its line end, to be sent after `delay`.
     pub fn reply(&mut self, text: &str, delay: Duration) {
+        self.reply_bytes(text.as_bytes().to_vec(), delay);
+    }
+
+    /// Queues a frame to be sent after `delay`.
+    pub fn reply_bytes(&mut self, mut bytes: Vec<u8>, delay: Duration) {
         self.replies_made += 1;
-        let mut bytes = text.as_bytes().to_vec();
         let mut due = Instant::now() + delay;
         let mut losable = true;
         let count = self.replies_made;
@@ -175,7 +267,7 @@ impl<S: AsyncRead + AsyncWrite> Line<S> {
                 }
                 LineFault::Garbled { every } if hits(every) => {
                     let middle = bytes.len() / 2;
-                    bytes[middle] = 0x07;
+                    bytes[middle] = if bytes[middle] == 0x07 { 0x08 } else { 0x07 };
                 }
                 LineFault::Missing { every } if hits(every) => return,
                 LineFault::Doubled { every } if hits(every) => bytes = bytes.repeat(2),
@@ -193,11 +285,6 @@ impl<S: AsyncRead + AsyncWrite> Line<S> {
     /// Seconds of the rig's clock.
     pub fn now_s(&self) -> f64 {
         self.start.elapsed().as_secs_f64()
-    }
-
-    fn take(&mut self, bytes: &[u8]) {
-        let commands = bytes.iter().filter_map(|byte| self.decoder.push(*byte));
-        self.commands.extend(commands);
     }
 
     fn note_sent(&mut self, count: usize) {
@@ -238,12 +325,15 @@ mod tests {
         let (mut near, far) = duplex(256);
         tokio::spawn(parrot(far, faults, unsent));
         for text in said {
-            near.write_all(text.as_bytes()).await.unwrap();
+            // A plug that was pulled takes no more.
+            let _ = near.write_all(text.as_bytes()).await;
             sleep(Duration::from_millis(50)).await;
         }
         let mut bytes = vec![0; 256];
         let mut heard = String::new();
-        while let Ok(Ok(count)) = tokio::time::timeout(Duration::from_secs(60), near.read(&mut bytes)).await {
+        while let Ok(Ok(count @ 1..)) =
+            tokio::time::timeout(Duration::from_secs(60), near.read(&mut bytes)).await
+        {
             heard.push_str(&String::from_utf8_lossy(&bytes[..count]));
         }
         heard
@@ -265,6 +355,7 @@ mod tests {
             (LineFault::Missing { every: 2 }, "ab\ref\r"),
             (LineFault::Doubled { every: 2 }, "ab\rcd\rcd\ref\r"),
             (LineFault::Silent { from_s: 0.07 }, "ab\rcd\r"),
+            (LineFault::Unplugged { at_s: 0.12, for_s: 9.0 }, "ab\r"),
         ] {
             assert_eq!(heard(vec![fault.clone()], Unsent::Kept, &said).await, expected, "{fault:?}");
         }
@@ -286,5 +377,26 @@ mod tests {
     async fn a_late_reply_cannot_be_called_back() {
         let late = LineFault::Late { every: 1, delay_s: 5.0 };
         assert_eq!(heard(vec![late], Unsent::Lost, &["a\r", "b\r"]).await, "a\rb\r");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_socket_is_empty_while_the_plug_is_pulled() {
+        let start = Instant::now();
+        let faults = vec![LineFault::Unplugged { at_s: 10.0, for_s: 5.0 }];
+        let served = faults.clone();
+        let mut opener = opener("parrot", faults, start, move |stream| {
+            let mut line = Line::new(stream, served.clone(), Unsent::Kept, start);
+            tokio::spawn(async move { while line.next_command().await.is_some() {} });
+        });
+        let mut first = opener().await.unwrap();
+        sleep(Duration::from_secs(9)).await;
+        let mut byte = [0];
+        let pulled = first.read(&mut byte).await.unwrap();
+        assert_eq!((pulled, start.elapsed()), (0, Duration::from_secs(10)));
+        assert!(opener().await.is_err());
+        sleep(Duration::from_secs(5)).await;
+        let mut second = opener().await.unwrap();
+        let read = tokio::time::timeout(Duration::from_secs(3600), second.read(&mut byte)).await;
+        assert!(read.is_err(), "it is pulled once");
     }
 }

@@ -10,10 +10,13 @@ mod error;
 pub mod fluctuation;
 pub mod fluke_418x;
 pub mod gige;
+pub mod hart_9132;
+pub mod ir_301;
 pub mod level;
 pub mod line;
 pub mod noise;
 pub mod plate;
+pub mod process;
 pub mod pulse;
 pub mod pulser;
 #[cfg(test)]

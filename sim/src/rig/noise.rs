@@ -35,6 +35,8 @@ pub enum Purpose {
     Plumes = 10,
     /// Turbulence of one shot of a parametric spray.
     Turbulence = 11,
+    /// Noise of process values.
+    Sensors = 12,
 }
 
 /// A stream of random numbers that is addressed, not stepped.

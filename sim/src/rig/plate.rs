@@ -147,6 +147,11 @@ pub enum PlateFault {
         /// When.
         at_s: f64,
     },
+    /// The controller is badly tuned: on every arrival the plate swings beyond the set-point by so much, and comes to rest.
+    Overshoots {
+        /// Amplitude of the first swing, in kelvin.
+        by_k: f64,
+    },
     /// The heater has lost part of its power.
     SlowHeating {
         /// Since when.
@@ -392,7 +397,7 @@ impl Plate {
             self.approaching_k = Some(set_point_k);
             // From its zero, so that the surface does not jump.
             self.ripple_phase = 0.0;
-            self.ripple_k = dynamics.arrival_ripple_k;
+            self.ripple_k = self.overshoot_k().max(dynamics.arrival_ripple_k);
         }
         let lasting_k = if works && off_k < RIPPLE_WITHIN_K {
             dynamics.ripple_part * stability_spec_k(set_point_k)
@@ -404,6 +409,14 @@ impl Plate {
         let surface_k = self.plain_surface_k + self.ripple_k * libm::sin(self.ripple_phase) + self.swing_k();
         self.surface_rate = (surface_k - self.surface_k) / STEP_S;
         self.surface_k = surface_k;
+    }
+
+    fn overshoot_k(&self) -> f64 {
+        let faults = self.model.faults.iter();
+        faults.fold(0.0, |most: f64, fault| match fault {
+            PlateFault::Overshoots { by_k } => most.max(*by_k),
+            _ => most,
+        })
     }
 
     fn swing_k(&self) -> f64 {
@@ -516,6 +529,7 @@ impl PlateModel {
                 no_less_than(0.0, &[("from_s", *from_s), ("amplitude_k", *amplitude_k)])?;
                 no_less_than(lag_s, &[("period_s", *period_s)])
             }
+            PlateFault::Overshoots { by_k } => no_less_than(0.0, &[("by_k", *by_k)]),
             PlateFault::FrozenReading { from_s } => no_less_than(0.0, &[("from_s", *from_s)]),
             PlateFault::NanReading { from_s, until_s } => {
                 no_less_than(0.0, &[("from_s", *from_s), ("until_s", *until_s)])
@@ -743,6 +757,12 @@ mod tests {
         tripped.clear_cutout();
         tripped.advance(7000.0);
         assert!(!tripped.is_tripped() && tripped.surface_k() > 395.0);
+
+        let mut swinging = heated(with(PlateFault::Overshoots { by_k: 8.0 }), 400.0);
+        let arrival_s = time_to(&mut swinging, 400.0, 3600).unwrap();
+        assert!(largest_off(&mut swinging, 400.0, 200) > 5.0);
+        swinging.advance(arrival_s + 1200.0);
+        assert!(largest_off(&mut swinging, 400.0, 200) < 0.3);
 
         let mut slow = heated(with(PlateFault::SlowHeating { from_s: 0.0, factor: 0.2 }), 400.0);
         let mut sound = heated(quiet(), 400.0);
