@@ -228,7 +228,9 @@ fn entries(table: &Path, raw: &RawDefaults) -> Result<Vec<Entry>, String> {
             };
             Ok(Entry {
                 line,
-                layout: layout.of(row, raw, &file).map_err(wrong)?,
+                layout: layout
+                    .of(row, raw, &file)
+                    .map_err(|why| wrong(format!("{}: {why}", file.display())))?,
                 file,
                 frame,
                 level,

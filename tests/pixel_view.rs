@@ -2,6 +2,9 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
+mod common;
+
+use common::{Preset, assert_replays};
 use ditd::estimate::map::flag;
 use ditd::files::image::read_exr;
 use ditd::files::npz;
@@ -115,6 +118,30 @@ fn every_pixel_has_a_view() {
     assert_eq!(look("7").status.code(), Some(2));
     assert_eq!(look("-1,2").status.code(), Some(2));
     assert!(!dir.path().join("dit.npz").exists());
+}
+
+/// A run's own limits are in its result and its replay, the command line's come first, and its pixels can be looked at.
+#[test]
+fn runs_have_masks_and_pixels() {
+    let ran = Preset::spray().with("fit.mask_emissivity_below", "0.3").run().done();
+    let summary = ran.summary();
+    let own = summary["flags"]["LOW_EMISSIVITY"].as_u64().unwrap();
+    assert!(own > 0 && summary["flags"]["HIGH_SIGMA"].as_u64() == Some(0));
+    assert_replays(&ran.path);
+    let dir = tempfile::tempdir().unwrap();
+    let (run, out) = (ran.path.to_str().unwrap(), dir.path().to_str().unwrap());
+    let told = ditd(&["fit", run, "--out", out, "--mask-emissivity-below", "0.6", "--json"]);
+    assert!(told.status.success(), "{}", String::from_utf8_lossy(&told.stderr));
+    let refitted: Value = serde_json::from_slice(&told.stdout).unwrap();
+    assert!(refitted["flags"]["LOW_EMISSIVITY"].as_u64().unwrap() > own);
+    let told = ditd(&["fit", run, "--out", out, "--pixel", "10,16", "--json"]);
+    assert!(told.status.success(), "{}", String::from_utf8_lossy(&told.stderr));
+    let view: Value = serde_json::from_slice(&told.stdout).unwrap();
+    let arrays = npz::read(&dir.path().join("dit.npz")).unwrap();
+    let kelvin = arrays.iter().find(|(found, _)| found == "temperature_k").unwrap().1.to_f64()[10 * 32 + 16];
+    assert!((number(&view["temperature_k"]["value"]) - kelvin).abs() < 1e-9);
+    assert_eq!(view["blanks_per_cycle"].as_u64(), Some(2));
+    assert!(dir.path().join("pixel_10_16.svg").exists());
 }
 
 /// Masks flag pixels in every output and take nothing away.
