@@ -1,7 +1,5 @@
 //! What the tests of the trigger units share: a unit on an in-memory line, its driver, and the pulses that are meant.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests")]
-
 use super::pulse::Pulse;
 use super::pulser::{self, PulserBehaviour, TriggerFault};
 use ditd_drivers::TRIGGER_UNITS;
