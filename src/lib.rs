@@ -9,7 +9,6 @@ pub mod plan;
 pub mod soak;
 pub mod campaign;
 pub mod rigs;
-pub mod serve_rig;
 pub mod journal;
 pub mod run_folder;
 pub mod archive;

@@ -13,7 +13,7 @@ use ditd::campaign::StopFlag;
 use ditd::files::npz;
 use ditd::journal::Record;
 use ditd::rigs::View;
-use ditd::serve_rig::{self, ServedRig};
+use ditd::rigs::served::{self, ServedRig};
 use ditd_drivers::instrument::ShotKind;
 use ditd_sim::rig::build;
 use ditd_sim::rig::chamber::World;
@@ -108,9 +108,8 @@ fn over_wires_then(
     );
     let (_, config) = preset.parsed();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
-    let served = runtime
-        .block_on(serve_rig::serve(&config, world(), |_| {}))
-        .unwrap_or_else(|error| panic!("{error}"));
+    let served =
+        runtime.block_on(served::serve(&config, world(), |_| {})).unwrap_or_else(|error| panic!("{error}"));
     let (sender, finished) = std::sync::mpsc::channel();
     let ran = std::thread::scope(|scope| {
         scope.spawn(|| meanwhile(&served));

@@ -6,8 +6,8 @@ use crate::clock::Clock;
 use crate::config::Config;
 use crate::console::Console;
 use crate::rigs::View;
+use crate::rigs::served;
 use crate::samples::Source;
-use crate::serve_rig;
 use crate::session::{self, Setting};
 use ditd_sim::rig::build;
 use std::io::Write;
@@ -78,7 +78,7 @@ pub fn run(args: Args, clock: &Clock) -> CommandResult {
         .build()
         .map_err(|error| CommandError::failure(format!("starting the runtime: {error}")))?;
     runtime.block_on(async {
-        let served = serve_rig::serve(&config, Arc::new(world), |text| {
+        let served = served::serve(&config, Arc::new(world), |text| {
             // A terminal that has gone does not stop the rig.
             let _ = writeln!(std::io::stderr(), "ditd: {text}");
         })

@@ -4,9 +4,9 @@
 //! the campaign: `serial:PATH` becomes a link to a pseudo-terminal, `tcp:host:port` a listener, a GigE camera a device on a
 //! loopback address. Who talks to them cannot know that nothing is there.
 
+use super::{OpenError, simulate_plate, simulate_sensors, simulate_trigger};
 use crate::campaign::{StopFlag, Wish};
 use crate::config::{Config, SIMULATED};
-use crate::rigs::{OpenError, simulate_plate, simulate_sensors, simulate_trigger};
 use ditd_drivers::wire::ByteStream;
 use ditd_sim::rig::camera::{SimCamera, WorldState, device_zero_ns};
 use ditd_sim::rig::chamber::World;
