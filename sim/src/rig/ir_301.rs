@@ -75,10 +75,9 @@ pub async fn serve(
     unit.plate().settings.output_on = true;
     while let Some(frame) = line.next_frame(cut_question).await {
         unit.plate().advance(line.now_s());
-        match Question::decode(&frame) {
-            Ok((UNIT, question)) => line.reply_bytes(unit.obey(question).encode(UNIT, question), delay),
-            // Another unit's question, or none that is understood: silence.
-            Ok(_) | Err(_) => {}
+        // Another unit's question, or none that is understood, is met by silence.
+        if let Ok((UNIT, question)) = Question::decode(&frame) {
+            line.reply_bytes(unit.obey(question).encode(UNIT, question), delay);
         }
     }
 }
