@@ -21,8 +21,12 @@ const LISTEN_MARGIN: Duration = Duration::from_millis(50);
 /// what it takes for that (3 s), and short enough for a stop wish to wait.
 const BEGIN_LEAD: Duration = Duration::from_millis(3500);
 
+/// Cycles in a row without a single frame after which the burst is ended and the missing cycles are left to a new one, for
+/// which camera and trigger unit are started anew: a stream that got stuck comes back by that.
+const SILENT_CYCLES_RESTART: u32 = 2;
+
 /// Cycles in a row without a single frame after which the trigger or the camera is taken for dead.
-const SILENT_CYCLES_MAX: u32 = 2;
+const SILENT_CYCLES_MAX: u32 = 4;
 
 /// Lines that may be lost and opened again in the bursts of one level before the campaign gives up: a plug that was touched
 /// is one, a loose contact is many.
@@ -161,6 +165,9 @@ impl Engine<'_> {
                     if frames == 0 {
                         // A camera that is gone is silent, too: a few seconds before it counts as gone.
                         self.instruments.camera.check().await.map_err(camera_trouble)?;
+                    }
+                    if *silent == SILENT_CYCLES_RESTART {
+                        return Ok(true);
                     }
                     if *silent >= SILENT_CYCLES_MAX {
                         let running = self.instruments.trigger.running().await?;

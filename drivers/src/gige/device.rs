@@ -29,13 +29,15 @@ const CONTROL_PRIVILEGE: u64 = 0x0A00;
 const HAS_CONTROL: u32 = 0b11;
 
 /// The stream's counters that say something about losses.
-const COUNTERS: [&str; 10] = [
+const COUNTERS: [&str; 12] = [
     "n_completed_buffers",
     "n_failures",
     "n_underruns",
     "n_timeouts",
     "n_missing_frames",
     "n_size_mismatch_errors",
+    "n_received_packets",
+    "n_ignored_packets",
     "n_missing_packets",
     "n_resend_requests",
     "n_resent_packets",
