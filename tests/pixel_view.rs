@@ -7,6 +7,7 @@ mod common;
 use common::{Preset, assert_replays};
 use ditd::estimate::map::flag;
 use ditd::files::image::read_exr;
+use ditd::files::npy::Values;
 use ditd::files::npz;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -166,10 +167,10 @@ fn masks_are_flags_in_every_output() {
     let (emissivity, temperature) =
         (get(&after, "emissivity").to_f64(), get(&after, "temperature_k").to_f64());
     let sigma = get(&after, "sigma_temperature_k").to_f64();
-    let flags = get(&after, "flags").to_f64();
+    let Values::U32(flags) = get(&after, "flags").values else { panic!("bits") };
     let (mut low, mut high) = (0_u64, 0_u64);
     for i in 0..flags.len() {
-        let bits = flags[i] as u32;
+        let bits = flags[i];
         assert_eq!(bits & flag::LOW_EMISSIVITY != 0, emissivity[i] < 0.5);
         let uncertain = temperature[i].is_finite() && (sigma[i] > 2.5 || sigma[i].is_nan());
         assert_eq!(bits & flag::HIGH_SIGMA != 0, uncertain);
@@ -179,14 +180,14 @@ fn masks_are_flags_in_every_output() {
     assert!(low > 0 && high > 0);
     // The legend is in the archive, the EXR, the TIFF and the summary; the picture is there.
     let names = get(&after, "flag_names");
-    let names: Vec<String> = names
-        .to_f64()
+    let Values::U8(letters) = names.values else { panic!("letters") };
+    let names: Vec<String> = letters
         .chunks(names.shape[1])
-        .map(|bytes| bytes.iter().map(|&b| b as u8 as char).take_while(|c| *c != '\0').collect())
+        .map(|bytes| bytes.iter().map(|&b| char::from(b)).take_while(|c| *c != '\0').collect())
         .collect();
     let wanted: Vec<&str> = flag::LEGEND.iter().map(|(_, name, _)| *name).collect();
     assert_eq!(names, wanted);
-    let bits: Vec<u32> = get(&after, "flag_bits").to_f64().iter().map(|&b| b as u32).collect();
+    let Values::U32(bits) = get(&after, "flag_bits").values else { panic!("bits") };
     assert_eq!(bits, flag::LEGEND.map(|(bit, ..)| bit));
     let exr = read_exr(&masked.join("dit.exr")).unwrap();
     let tiff = std::fs::File::open(masked.join("temperature_k.tif")).unwrap();

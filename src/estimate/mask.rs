@@ -39,8 +39,8 @@ impl Limits {
                 map.flags[i] |= flag::LOW_EMISSIVITY;
             }
             // A σ that is not known keeps to no limit.
-            let too_much =
-                |limit: f64| map.temperature_k[i].is_finite() && !(map.sigma_temperature_k[i] <= limit);
+            let sigma = map.sigma_temperature_k[i];
+            let too_much = |limit: f64| map.temperature_k[i].is_finite() && (sigma > limit || sigma.is_nan());
             if self.sigma_above_k.is_some_and(too_much) {
                 map.flags[i] |= flag::HIGH_SIGMA;
             }

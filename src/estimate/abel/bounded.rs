@@ -37,10 +37,10 @@ pub(super) fn minimum(k: &Matrix, b: &[f64], start: &[f64]) -> Bounded {
         }
         if wrong.len() < fewest {
             (fewest, patience) = (wrong.len(), FULL_EXCHANGES);
-        } else if patience > 0 {
-            patience -= 1;
+        } else {
+            patience = patience.saturating_sub(1);
         }
-        if patience > 0 || wrong.len() < fewest {
+        if patience > 0 {
             wrong.iter().for_each(|&i| free[i] = !free[i]);
         } else if let Some(&last) = wrong.last() {
             free[last] = !free[last];
@@ -85,8 +85,8 @@ mod tests {
             for start in [vec![0.0; n], vec![1.0; n]] {
                 let found = minimum(&k, &b, &start);
                 assert!(found.settled);
-                for i in 0..n {
-                    let slope = k.row(i).iter().zip(&found.values).map(|(k, x)| k * x).sum::<f64>() - b[i];
+                for (i, b) in b.iter().enumerate() {
+                    let slope = k.row(i).iter().zip(&found.values).map(|(k, x)| k * x).sum::<f64>() - b;
                     if found.free.contains(&i) {
                         assert!(found.values[i] >= 0.0 && slope.abs() < 1e-9, "{seed} {i} {slope}");
                     } else {

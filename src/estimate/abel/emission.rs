@@ -99,7 +99,7 @@ fn one_row(grid: &Grid, pixels: &Pixels<'_>, alpha: &[f64], sigma_alpha: &[f64])
         mixes.iter().map(|mix| mix.iter().map(|&(c, w)| w * pixels.values[c]).sum()).collect();
     let mut weights = vec![0.0; grid.columns];
     let mut radii = Vec::with_capacity(to - from);
-    for i in 0..to - from {
+    for (i, &a) in used.iter().enumerate() {
         let row = inverse.row(i);
         let j: f64 = row.iter().zip(&light).map(|(k, light)| k * light).sum();
         weights.fill(0.0);
@@ -112,7 +112,7 @@ fn one_row(grid: &Grid, pixels: &Pixels<'_>, alpha: &[f64], sigma_alpha: &[f64])
             }
             None => f64::NAN,
         };
-        let (a, s) = (used[i], at_radius(sigma_alpha, from + i));
+        let s = at_radius(sigma_alpha, from + i);
         let source = j / a;
         // Without a known σ of α that it is positive must do.
         let clear = a > if s.is_finite() { SIGNIFICANT_SIGMAS * s } else { 0.0 };

@@ -331,16 +331,10 @@ fn three_diagonals(z: &mut Matrix, d: &mut [f64], e: &mut [f64]) {
             both += p[j] * u[j];
         }
         let half = both / (2.0 * h);
-        for j in 0..i {
-            p[j] -= half * u[j];
-            e[j] = p[j];
-        }
-        for j in 0..i {
-            let (f, g) = (u[j], p[j]);
+        p.iter_mut().zip(u).for_each(|(p, u)| *p -= half * u);
+        for (j, (&f, &g)) in u.iter().zip(&p).enumerate() {
             let row = &mut low[j * n..j * n + j + 1];
-            for k in 0..=j {
-                row[k] -= f * p[k] + g * u[k];
-            }
+            row.iter_mut().zip(p.iter().zip(u)).for_each(|(v, (p, u))| *v -= f * p + g * u);
         }
         for j in 0..i {
             z.values[j * n + i] = z.values[i * n + j] / h;
@@ -350,8 +344,8 @@ fn three_diagonals(z: &mut Matrix, d: &mut [f64], e: &mut [f64]) {
     if n > 0 {
         (d[0], e[0]) = (0.0, 0.0);
     }
-    for i in 0..n {
-        if d[i] != 0.0 {
+    for (i, d) in d.iter_mut().enumerate() {
+        if *d != 0.0 {
             // Columns before i, changed by u = row i and u/h = column i.
             let mut g = vec![0.0; i];
             for k in 0..i {
@@ -363,7 +357,7 @@ fn three_diagonals(z: &mut Matrix, d: &mut [f64], e: &mut [f64]) {
                 z.row_mut(k)[..i].iter_mut().zip(&g).for_each(|(v, g)| *v -= g * factor);
             }
         }
-        d[i] = z.at(i, i);
+        *d = z.at(i, i);
         z.row_mut(i)[i] = 1.0;
         for j in 0..i {
             z.values[j * n + i] = 0.0;

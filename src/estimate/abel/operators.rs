@@ -90,6 +90,7 @@ fn ramp(y: f64, low: f64, high: f64, f_low: f64, f_high: f64) -> f64 {
 /// radii, written out as an operator. Their exponentials represent 1/√ to some 1e-3: a check, not a method to keep.
 pub(super) fn hansen_law(n: usize, phase: f64) -> Matrix {
     // Their table 1.
+    #[expect(clippy::approx_constant, reason = "a fitted weight of theirs, not 1/π")]
     const H: [f64; 9] = [0.318, 0.19, 0.35, 0.82, 1.8, 3.9, 8.3, 19.6, 48.3];
     const LAMBDA: [f64; 9] = [0.0, -2.1, -6.2, -22.4, -92.5, -414.5, -1889.4, -8990.9, -47391.1];
     if n < 3 {
