@@ -118,7 +118,7 @@ impl<'a, F: Number> Walk<'a, F> {
     #[inline(always)]
     pub(super) fn row(&mut self) -> Option<Row<'_, F>> {
         let row = self.rows.next()?;
-        if self.filled < (row + self.reach + 1).min(self.sums.rows()) {
+        while self.filled < (row + self.reach + 1).min(self.sums.rows()) {
             let last = (self.rows.end + self.reach).min(self.sums.rows());
             let to = (self.filled + GULP).min(last);
             self.fill(self.filled..to);
