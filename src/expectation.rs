@@ -71,6 +71,7 @@ pub fn of(config: &Config, plan: &Plan, folder: &Path) -> Option<Expectation> {
         far_window_counts: config.optics.reflectance_far * curve.value(config.optics.wall_temperature_k)
             / config.optics.emissivity_plate,
         curve,
+        residual: None,
         range: None,
         camera: CameraNoise {
             read_noise_counts: config.camera.read_noise_counts,

@@ -1,6 +1,6 @@
 //! What will be done: a pure function of the config, printable before anything is touched.
 
-use crate::config::Config;
+use crate::config::{Config, Reference};
 use ditd_drivers::instrument::ShotProgram;
 use serde::{Deserialize, Serialize};
 
@@ -87,6 +87,24 @@ impl Plan {
 
     /// The plan of the standard curve; `None` without a `[calibration]` table.
     pub fn of_standard_curve(config: &Config) -> Option<Self> {
+        Self::of_plate(config, |levels| levels)
+    }
+
+    /// As the standard curve, at its coldest and hottest level alone: for the flat.
+    pub fn of_ends(config: &Config) -> Option<Self> {
+        Self::of_plate(config, |levels| {
+            let ends = [levels.first().copied(), levels.last().copied()];
+            ends.into_iter().flatten().collect()
+        })
+    }
+
+    /// As the standard curve, at its coldest level alone: for what does not depend on the plate.
+    pub fn of_coldest(config: &Config) -> Option<Self> {
+        Self::of_plate(config, |levels| levels.into_iter().take(1).collect())
+    }
+
+    /// Frames of the plate without an injector, at levels picked from those of `[calibration]`, ascending.
+    fn of_plate(config: &Config, pick: impl Fn(Vec<f64>) -> Vec<f64>) -> Option<Self> {
         let calibration = config.calibration.as_ref()?;
         let period_ns = ns(config.campaign.frame_period_s);
         let warm_up = calibration.warm_up;
@@ -105,9 +123,10 @@ impl Plan {
         };
         let mut levels = calibration.levels_k.clone();
         levels.sort_by(f64::total_cmp);
-        let levels = levels
+        let shutter_reference = calibration.reference == Reference::Shutter;
+        let levels = pick(levels)
             .into_iter()
-            .map(|set_point_k| LevelPlan { set_point_k, program: program.clone(), shutter_reference: true })
+            .map(|set_point_k| LevelPlan { set_point_k, program: program.clone(), shutter_reference })
             .collect();
         Some(Self { purpose: Purpose::StandardCurve, levels, retakes_max: 3 })
     }

@@ -93,10 +93,14 @@ impl LevelState {
 pub struct CurveSums {
     /// Per level: sum of counts per pixel, plate.
     pub plate: Vec<Vec<u64>>,
+    /// Per level: sum of squared counts per pixel, plate.
+    pub plate_squares: Vec<Vec<u64>>,
     /// Per level: frames in `plate`.
     pub plate_frames: Vec<u32>,
     /// Per level: sum of counts per pixel, shutter closed.
     pub shutter: Vec<Vec<u64>>,
+    /// Per level: sum of squared counts per pixel, shutter closed.
+    pub shutter_squares: Vec<Vec<u64>>,
     /// Per level: frames in `shutter`.
     pub shutter_frames: Vec<u32>,
     /// Temperature of the shutter at each level, in K.
@@ -164,8 +168,10 @@ impl Reduced {
             }
             Purpose::StandardCurve => Total::Curve(CurveSums {
                 plate: vec![vec![0; pixels]; levels],
+                plate_squares: vec![vec![0; pixels]; levels],
                 plate_frames: vec![0; levels],
                 shutter: vec![vec![0; pixels]; levels],
+                shutter_squares: vec![vec![0; pixels]; levels],
                 shutter_frames: vec![0; levels],
                 shutter_k: vec![None; levels],
             }),
@@ -356,16 +362,22 @@ impl Reduced {
                 self.levels[level].cycles.push(cycle);
             }
             Total::Curve(curve) => {
-                let (sums, frames_so_far) = match self.shutter_k {
+                let (sums, squares, frames_so_far) = match self.shutter_k {
                     Some(kelvin) => {
                         curve.shutter_k[level] = Some(kelvin);
-                        (&mut curve.shutter[level], &mut curve.shutter_frames[level])
+                        let frames = &mut curve.shutter_frames[level];
+                        (&mut curve.shutter[level], &mut curve.shutter_squares[level], frames)
                     }
-                    None => (&mut curve.plate[level], &mut curve.plate_frames[level]),
+                    None => {
+                        let frames = &mut curve.plate_frames[level];
+                        (&mut curve.plate[level], &mut curve.plate_squares[level], frames)
+                    }
                 };
+                // 2³² squares of 16 bits fit into a u64; a plan has 10 000 frames a level at most.
                 for frame in &counts {
-                    for (sum, count) in sums.iter_mut().zip(frame.iter()) {
-                        *sum += u64::from(*count);
+                    for ((sum, square), &count) in sums.iter_mut().zip(squares.iter_mut()).zip(frame.iter()) {
+                        *sum += u64::from(count);
+                        *square += u64::from(count) * u64::from(count);
                     }
                 }
                 *frames_so_far += program.blanks + 1;

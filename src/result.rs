@@ -6,6 +6,7 @@
 use crate::calibrate::{CHI2_MAX, Calibrated};
 use crate::config::Config;
 use crate::estimate::accumulate::{self, Sums};
+use crate::estimate::budget::Budget;
 use crate::estimate::map::{self, DitMap, Estimator, FitInputs, flag};
 use crate::estimate::predict::{Forecast, Visit};
 use crate::files::npy::{Array, Values};
@@ -77,6 +78,8 @@ pub fn write(
         fitting::inputs(&reduced.levels, config, &calibrated.calibration, &calibrated.flat, estimator);
     let mut map = map::solve(sums, &inputs);
     config.fit.limits().apply(&mut map);
+    map.budget = Some(fitting::budget(&map, sums, &inputs, &reduced.levels, config, &calibrated.calibration));
+    let map = map;
     let judged = world.map(|world| {
         let lines = map::lines_with_same_weights(sums, &inputs, &world.x_counts, &world.difference_counts);
         Judged::of(&map, world, world.statistical(&lines), config.emissivity_min())
@@ -295,7 +298,9 @@ fn summary(
             "high_k": fit.range.high_k,
             "points": calibrated.calibration.points.len(),
             "utc": calibrated.calibration.utc,
+            "warnings": calibrated.calibration.figures.contradictions(config),
         },
+        "budget": map.budget.as_ref().map(|budget| budget_of(budget, map, config.emissivity_min())),
         "zero_difference_counts": zero_difference(map, sums),
         "far_window_counts": fitting::far_window_counts(config, &calibrated.calibration),
         "spray": {
@@ -315,6 +320,28 @@ fn process(state: &LevelState) -> Value {
         (name.clone(), figures)
     });
     Value::Object(each.collect())
+}
+
+/// The uncertainty budget over the spray: medians in K, what is not in it, and the emissivity's systematic part.
+fn budget_of(budget: &Budget, map: &DitMap, emissivity_min: f64) -> Value {
+    let over = |sigma_k: &[f64]| {
+        let each = sigma_k.iter().zip(&map.emissivity).zip(&map.temperature_k);
+        let inside =
+            each.filter(|((_, emissivity), kelvin)| **emissivity > emissivity_min && kelvin.is_finite());
+        number(median(inside.map(|((sigma, _), _)| *sigma).collect()))
+    };
+    let mut medians = serde_json::Map::new();
+    medians.insert("sigma_t_noise_k".to_owned(), over(&map.sigma_t_noise_k));
+    for part in &budget.parts {
+        medians.insert(part.name.to_owned(), over(&part.sigma_k));
+    }
+    json!({
+        "median_k": medians,
+        "systematic": budget.parts.iter().filter(|part| part.systematic).map(|part| part.name).collect::<Vec<_>>(),
+        "not_in_it": budget.absent,
+        "emissivity_relative": budget.emissivity_relative
+            .map(|[windows, calibration]| json!({ "windows": number(windows), "calibration": number(calibration) })),
+    })
 }
 
 /// Accepted cycles without a spray, left out of the map.
@@ -394,6 +421,26 @@ fn words(summary: &Value, map: &DitMap, judged: Option<&Judged>, config: &Config
             "spray     {pixels} pixels with emissivity above {}: median {temperature:.2} K, median σ {sigma:.2} K",
             config.emissivity_min()
         );
+    }
+    if let (Some(budget), true) = (&map.budget, pixels > 0) {
+        let median = |name: &str| summary["budget"]["median_k"][name].as_f64();
+        let parts: Vec<String> = budget
+            .parts
+            .iter()
+            .filter(|part| part.systematic)
+            .filter_map(|part| Some(format!("{} {:.2} K", part.of, median(part.name)?)))
+            .collect();
+        let _ = writeln!(out, "besides   common to all pixels: {}", parts.join(", "));
+        if !budget.absent.is_empty() {
+            let _ = writeln!(
+                out,
+                "          not in the budget, [optics] sigma_… would put it there: {}",
+                budget.absent.join(", ")
+            );
+        }
+    }
+    for warning in summary["calibration"]["warnings"].as_array().into_iter().flatten() {
+        let _ = writeln!(out, "WARNING   {}", warning.as_str().unwrap_or_default());
     }
     let (chi2, dof) = (summary["calibration"]["chi2"].as_f64(), summary["calibration"]["dof"].as_f64());
     if let (Some(chi2), Some(dof)) = (chi2, dof)

@@ -1,7 +1,11 @@
 //! One run from config to result folder: calibration, campaign, map, truth, report. And the same again from a folder.
 
+mod kinds;
+
+pub use kinds::{Ask, Figure, acquire_figure};
+
 use crate::archive::Archive;
-use crate::calibrate::{self, CalibrateError, Calibrated, Calibration};
+use crate::calibrate::{self, CalibrateError, Calibrated, Calibration, Figures};
 use crate::campaign::{
     CampaignError, Ended, Engine, Outcome, Progress, RecordError, Recorder, StopFlag, header,
 };
@@ -223,11 +227,7 @@ pub fn calibrate_today(
     out: &Path,
     standard: &Path,
 ) -> Result<Calibrated, SessionError> {
-    let path = calibration_folder(standard).join("calibration.json");
-    let text = std::fs::read_to_string(&path)
-        .map_err(|error| SessionError::Other(format!("calibration {}: {error}", path.display())))?;
-    let standard: Calibration = serde_json::from_str(&text)
-        .map_err(|error| SessionError::Other(format!("calibration {}: {error}", path.display())))?;
+    let standard = curve_at(&calibration_folder(standard))?;
     acquire(setting, out, Some(&standard))
 }
 
@@ -236,24 +236,58 @@ fn acquire(
     out: &Path,
     standard: Option<&Calibration>,
 ) -> Result<Calibrated, SessionError> {
-    let plan = Plan::of_standard_curve(setting.config).ok_or_else(|| {
-        SessionError::Other("calibrate: the campaign file has no [calibration] table".to_owned())
-    })?;
+    let plan = Plan::of_standard_curve(setting.config).ok_or_else(no_table)?;
+    let earlier = file_at(out)?;
+    if let Some(file) = &earlier {
+        file.key.check(setting.config)?;
+    }
+    let reduced = frames_into(setting, out, setting.config, View::Bench, plan, 0)?;
+    let mut calibrated = calibration_of(&reduced, setting.config, &setting.utc())?;
+    if let Some(standard) = standard {
+        calibrated.calibration = calibrate::today(&calibrated.calibration, standard)?;
+    }
+    // What was measured before of the same set-up stays; the flat is the new one.
+    if let Some(file) = earlier {
+        let flat = calibrated.calibration.figures.flat.take();
+        calibrated.calibration.figures = Figures { flat, ..file.figures };
+    }
+    let folder = RunFolder::at(out);
+    store_calibration(&folder, &folder.root().join("calibration.json"), &calibrated, setting.config)?;
+    Ok(calibrated)
+}
+
+fn no_table() -> SessionError {
+    SessionError::Other("calibrate: the campaign file has no [calibration] table".to_owned())
+}
+
+/// Runs a plan of the plate without injector into a folder of its own. `world` is the campaign file as the simulated rig is
+/// to be for it; `part` tells its frames from those of other parts of a calibration.
+fn frames_into(
+    setting: &Setting<'_>,
+    out: &Path,
+    world: &Config,
+    view: View,
+    plan: Plan,
+    part: u64,
+) -> Result<Reduced, SessionError> {
     let folder = RunFolder::create(out)?;
     folder.write(&folder.campaign(), setting.source.text.as_bytes())?;
     let c = &setting.config.camera;
     let reduced = Reduced::new(plan.clone(), c.rows, c.columns, c.saturation_count)?;
-    let prepared = prepare(setting, View::Bench)?;
+    let prepared = prepare(&Setting { config: world, ..setting.clone() }, view)?;
+    let frames = match (view, part) {
+        (View::Bench, 0) => prepared.beginning().frames,
+        _ => rigs::FIRST_CALIBRATION_FRAME + (part + 1) * FRAMES_PART,
+    };
+    let prepared = prepared.beginning_at(Beginning { frames, ..Beginning::default() });
     let mut recorder = recorder(setting, &folder, reduced)?;
     let start = header(&plan, setting.utc(), sha256(setting.source.text.as_bytes()));
     campaign(setting, &plan, &prepared, &mut recorder, Some(start), None)?;
-    let mut calibrated = calibration_of(recorder.reduced(), setting.config, &setting.utc())?;
-    if let Some(standard) = standard {
-        calibrated.calibration = calibrate::today(&calibrated.calibration, standard)?;
-    }
-    store_calibration(&folder, &folder.root().join("calibration.json"), &calibrated, setting.config)?;
-    Ok(calibrated)
+    Ok(recorder.reduced().clone())
 }
+
+/// Numbers between the frames of two parts of a simulated calibration: more than any part has.
+const FRAMES_PART: u64 = 1 << 24;
 
 /// Brings a rig to its safe state.
 ///
@@ -456,8 +490,11 @@ fn calibration_of(reduced: &Reduced, config: &Config, utc: &str) -> Result<Calib
     let Total::Curve(sums) = &reduced.total else {
         return Err(SessionError::Other("calibration: the record holds no calibration frames".to_owned()));
     };
-    let (calibration, flat) = calibrate::standard(sums, &reduced.levels, config, utc)?;
-    Ok(Calibrated { calibration, flat })
+    let series = calibrate::series(sums, &reduced.levels, config)?;
+    let mut calibration = calibrate::standard(&series, config, utc)?;
+    let flat = calibrate::flat(&series, sums, utc);
+    calibration.figures.flat = Some(flat.figures);
+    Ok(Calibrated { calibration, flat: flat.gains })
 }
 
 fn store_calibration(
@@ -470,20 +507,81 @@ fn store_calibration(
         .map_err(|error| SessionError::Other(format!("calibration: {error}")))?;
     text.push('\n');
     folder.write(path, text.as_bytes())?;
+    store_flat(path.parent().unwrap_or(folder.root()), &calibrated.flat, config)
+}
+
+/// Writes the gains of all pixels beside a calibration.
+fn store_flat(out: &Path, gains: &[f64], config: &Config) -> Result<(), SessionError> {
     let shape = vec![config.camera.rows, config.camera.columns];
-    let flat =
-        crate::files::npy::Array { shape, values: crate::files::npy::Values::F64(calibrated.flat.clone()) };
-    folder.write(&path.with_file_name("flat.npy"), &flat.to_bytes())?;
-    Ok(())
+    let flat = crate::files::npy::Array { shape, values: crate::files::npy::Values::F64(gains.to_vec()) };
+    Ok(RunFolder::at(out).write(&out.join("flat.npy"), &flat.to_bytes())?)
+}
+
+/// Writes one figure into the `calibration.json` of `out`, which is made if there is none; the rest of it stays.
+fn store_figure(
+    setting: &Setting<'_>,
+    out: &Path,
+    name: &str,
+    figure: serde_json::Value,
+) -> Result<(), SessionError> {
+    let path = out.join("calibration.json");
+    let new = || serde_json::json!({ "schema": 1, "utc": setting.utc(), "key": calibrate::Key::of(setting.config) });
+    let mut file = match read_json(&path)? {
+        Some(file) => file,
+        None => new(),
+    };
+    file[name] = figure;
+    crate::files::result::write_atomic(&path, format!("{file:#}\n").as_bytes())
+        .map_err(|error| SessionError::Other(error.to_string()))
+}
+
+/// What is known of a calibration folder without its curve.
+struct CalibrationFile {
+    key: calibrate::Key,
+    figures: Figures,
+    has_curve: bool,
+}
+
+/// The calibration file in a folder; `None` when there is none.
+fn file_at(folder: &Path) -> Result<Option<CalibrationFile>, SessionError> {
+    let path = folder.join("calibration.json");
+    let Some(file) = read_json(&path)? else { return Ok(None) };
+    let bad =
+        |error: serde_json::Error| SessionError::Other(format!("calibration {}: {error}", path.display()));
+    Ok(Some(CalibrationFile {
+        key: serde_json::from_value(file["key"].clone()).map_err(bad)?,
+        has_curve: file.get("fit").is_some(),
+        figures: serde_json::from_value(file).map_err(bad)?,
+    }))
+}
+
+/// A JSON object from a file; `None` when there is no file.
+fn read_json(path: &Path) -> Result<Option<serde_json::Value>, SessionError> {
+    let named = |why: String| SessionError::Other(format!("calibration {}: {why}", path.display()));
+    let text = match std::fs::read_to_string(path) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        text => text.map_err(|error| named(error.to_string()))?,
+    };
+    let file: serde_json::Value = serde_json::from_str(&text).map_err(|error| named(error.to_string()))?;
+    if file.is_object() { Ok(Some(file)) } else { Err(named("it is no JSON object".to_owned())) }
+}
+
+/// The curve of a calibration folder.
+fn curve_at(folder: &Path) -> Result<Calibration, SessionError> {
+    let path = folder.join("calibration.json");
+    let named = |why: &str| SessionError::Other(format!("calibration {}: {why}", path.display()));
+    let file = read_json(&path)?.ok_or_else(|| named("there is no such file"))?;
+    if file.get("fit").is_none() {
+        return Err(named(
+            "it holds no curve yet. Acquire one into the same folder: ditd calibrate CONFIG --kind standard",
+        ));
+    }
+    serde_json::from_value(file).map_err(|error| named(&error.to_string()))
 }
 
 fn load_calibration(folder: &Path, config: &Config) -> Result<Calibrated, SessionError> {
-    let path = folder.join("calibration.json");
-    let text = std::fs::read_to_string(&path)
-        .map_err(|error| SessionError::Other(format!("calibration {}: {error}", path.display())))?;
-    let calibration: Calibration = serde_json::from_str(&text)
-        .map_err(|error| SessionError::Other(format!("calibration {}: {error}", path.display())))?;
-    calibration.check_key(config)?;
+    let calibration = curve_at(folder)?;
+    calibration.key.check(config)?;
     let path = folder.join("flat.npy");
     let flat =
         crate::files::npy::read(&path).map_err(|error| SessionError::Other(error.to_string()))?.to_f64();

@@ -5,6 +5,7 @@
 
 use crate::estimate::accept::{self, LeftOut, Recorded, Visitor};
 use crate::estimate::accumulate::{AccumulateError, BLANKS_MAX, Sums};
+use crate::estimate::budget;
 use crate::estimate::calibration::{C2_UM_K, CalibrationFit, Range, SakumaHattori};
 use crate::estimate::convergence::{self, Step};
 use crate::estimate::gate;
@@ -224,6 +225,7 @@ impl Stack {
             emissivity_plate: case.emissivity_plate,
             far_window_counts: case.far_window_counts,
             curve,
+            residual: None,
             range: None,
             camera: case.camera.unwrap_or(CameraNoise::ROUNDING_ONLY),
             estimator,
@@ -283,7 +285,8 @@ impl Stack {
                 level.leave_out(left_out);
             }
         }
-        let map = map::solve(&sums, inputs);
+        let mut map = map::solve(&sums, inputs);
+        map.budget = Some(budget::statistical(&map));
         for (level, sums) in levels.iter_mut().zip(sums.levels()) {
             level.accepted = level.cycles - level.rejected.len();
             level.saturated_samples = (0..sums.count.len()).map(|i| u64::from(sums.saturated(i))).sum();

@@ -9,7 +9,9 @@
 mod common;
 
 use common::Preset;
-use ditd::estimate::calibration::{CalibrationPoint, OffsetMode, SakumaHattori, fit_curve, map_on_standard};
+use ditd::estimate::calibration::{
+    CalibrationPoint, OffsetMode, Passband, SakumaHattori, fit_curve, fit_curve_in_band, map_on_standard,
+};
 use ditd_sim::rig::build::{self, View};
 use ditd_sim::rig::chamber::World;
 use std::path::Path;
@@ -70,9 +72,14 @@ fn five_exact_points_come_back_to_a_millikelvin() {
     }
 }
 
-/// 0.15 counts and 0.1 % of noise, 0.05 K of plate, as the rms over 200 draws: below 0.15 K with the offset known. In
-/// both cases no more than what the points can give at all, which the fit's own covariance says (Cramér–Rao); an rms of
-/// 200 draws of three or four parameters is good to 4 %, and small steps of noisy curves leave out their second order.
+/// The pass band of the curve's filter as a data sheet would state it.
+const BAND: Passband = Passband { centre_um: 3.40, fwhm_um: 0.12 };
+
+/// 0.15 counts and 0.1 % of noise, 0.05 K of plate, as the rms over 200 draws: below 0.15 K with the offset known. With
+/// the offset free too many parameters meet ten points for 0.25 K (Cramér–Rao: 0.31 K); the filter's data sheet holds
+/// the exponent, whatever the centre is off within its tolerance. In all cases no more than what the points can give,
+/// which the fit's own covariance says; an rms of 200 draws of three or four parameters is good to 4 %, and small steps of
+/// noisy curves leave out their second order.
 #[test]
 fn ten_noisy_points_are_good_for_a_fraction_of_a_kelvin() {
     let truth = SakumaHattori { a_counts: 7.2e5, a_um: 3.4, b_um_k: 1.5 };
@@ -86,7 +93,22 @@ fn ten_noisy_points_are_good_for_a_fraction_of_a_kelvin() {
             .sum();
         sum - 6.0
     };
-    for (mode, bound) in [(OffsetMode::Known(0.0), 0.15), (OffsetMode::Free, 0.35)] {
+    let bare = |points: &[CalibrationPoint], mode, _: f64| fit_curve(points, mode).unwrap();
+    // The data sheet's centre is off by its tolerance, half a per cent, differently in every draw.
+    let stated = |points: &[CalibrationPoint], mode, off: f64| {
+        let band = Passband { centre_um: BAND.centre_um * (1.0 + 0.005 * off), ..BAND };
+        fit_curve_in_band(points, mode, &band).unwrap()
+    };
+    type Fit<'a> =
+        &'a dyn Fn(&[CalibrationPoint], OffsetMode, f64) -> ditd::estimate::calibration::CalibrationFit;
+    let known = OffsetMode::Known(0.0);
+    let cases: [(&str, Fit<'_>, OffsetMode, f64); 4] = [
+        ("offset known", &bare, known, 0.15),
+        ("offset known, band stated", &stated, known, 0.15),
+        ("offset free", &bare, OffsetMode::Free, 0.35),
+        ("offset free, band stated", &stated, OffsetMode::Free, 0.25),
+    ];
+    for (name, fit, mode, bound) in cases {
         let (mut squares, mut promised) = (0.0, 0.0);
         for _ in 0..200 {
             let signal = |t: f64| truth.value(t);
@@ -97,7 +119,7 @@ fn ten_noisy_points_are_good_for_a_fraction_of_a_kelvin() {
                 point.counts += sigma * normal() + slope * 0.05 * normal();
                 point.sigma_counts = sigma.hypot(slope * 0.05);
             }
-            let fit = fit_curve(&noisy, mode).unwrap();
+            let fit = fit(&noisy, mode, normal());
             squares += rms(&fit.curve, &|t| truth.value(t)).powi(2);
             let variance = |i: u32| {
                 let t = 345.0 + f64::from(i);
@@ -107,10 +129,38 @@ fn ten_noisy_points_are_good_for_a_fraction_of_a_kelvin() {
         }
         let rms = (squares / 200.0_f64).sqrt();
         let promised = (promised / 200.0_f64).sqrt();
-        eprintln!("{mode:?}: {rms:.3} K rms, {promised:.3} K promised");
-        assert!(rms < bound, "{mode:?}: {rms} K");
-        assert!((rms / promised - 1.0).abs() < 0.15, "{mode:?}: {rms} {promised}");
+        eprintln!("{name}: {rms:.3} K rms, {promised:.3} K promised");
+        assert!(rms < bound, "{name}: {rms} K");
+        // A stated band is given twice the tolerance of this test: what it promises is on the safe side.
+        let honest = if name.ends_with("stated") { 0.6..1.15 } else { 0.85..1.15 };
+        assert!(honest.contains(&(rms / promised)), "{name}: {rms} {promised}");
     }
+}
+
+/// The shipped filter with its leak follows what its data sheet says: both parameters within two of the standard deviations
+/// that are given to them, and the curve stays as good as without.
+#[test]
+fn a_stated_band_agrees_with_the_shipped_filter() {
+    let world = bench(false);
+    let signal = |t: f64| world.optics().calibration_counts(t, INTEGRATION_S);
+    let points = points(&signal, 10);
+    let fit = fit_curve_in_band(&points, OffsetMode::Free, &BAND).unwrap();
+    assert!(fit.chi2 < 2.0 * 4.0, "{}", fit.chi2);
+    let rms = rms(&fit.curve, &signal);
+    eprintln!("band stated: {:.2} mK rms", 1e3 * rms);
+    // Points of 0.1 % are worth 50 mK each; what the band pulls stays far below.
+    assert!(rms < 0.02, "{rms}");
+}
+
+/// Two points are enough with a stated band and a known offset; one is not.
+#[test]
+fn a_stated_band_needs_two_points() {
+    let truth = SakumaHattori { a_counts: 7.2e5, a_um: 3.396, b_um_k: 1.7 };
+    let two = points(&|t| truth.value(t), 2);
+    let fit = fit_curve_in_band(&two, OffsetMode::Known(0.0), &BAND).unwrap();
+    // Between the points the exponent alone decides: half a per cent of 3.4 µm is 0.4 K.
+    assert!(rms(&fit.curve, &|t| truth.value(t)) < 0.4);
+    assert!(fit_curve_in_band(&two[..1], OffsetMode::Known(0.0), &BAND).is_err());
 }
 
 /// A standard curve taken at 25 µs serves at 20 µs: the mapping's gain absorbs the time, its offset the camera's.

@@ -126,6 +126,7 @@ fn fit(sums: &Sums, estimator: Estimator, confidence: f64) -> DitMap {
         emissivity_plate: EMISSIVITY_PLATE,
         far_window_counts: 0.0,
         curve: CURVE,
+        residual: None,
         range: None,
         camera: CAMERA,
         estimator,

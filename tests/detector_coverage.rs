@@ -155,6 +155,7 @@ fn intervals_hold_the_truth_of_the_simulated_world_as_often_as_they_say() {
                 emissivity_plate: truth.emissivity_plate,
                 far_window_counts: truth.far_window_counts,
                 curve: fit.curve,
+                residual: None,
                 range: None,
                 camera: CameraNoise {
                     read_noise_counts: config.camera.read_noise_counts,

@@ -73,6 +73,7 @@ fn fitted(expected: &[Expected], x: &[f64], top: f64) -> (f64, f64) {
             emissivity_plate: 1.0,
             far_window_counts: 0.0,
             curve: CURVE,
+            residual: None,
             range: None,
             camera: CameraNoise {
                 read_noise_counts: READ_NOISE,

@@ -307,7 +307,14 @@ impl Engine<'_> {
         if level.shutter_reference {
             let shutter = self.instruments.camera.shutter(true).await.map_err(camera_trouble)?;
             let mut reference = Ok(true);
-            while reference.is_ok() && self.recorder.reduced().levels[index].references == 0 {
+            while self.recorder.reduced().levels[index].references == 0 {
+                // A plate that left its band is soaked again, as for the frames of the plate itself.
+                if let Ok(false) = reference {
+                    reference = self.soak(number, level.set_point_k).await.map(|()| true);
+                }
+                if reference.is_err() {
+                    break;
+                }
                 reference = self.burst_to_the_end(number, &level.program, 1, shutter, &mut streaks).await;
             }
             if !matches!(reference, Err(Interrupt::CameraLost(_))) {

@@ -1,6 +1,6 @@
 //! Limits and impossible combinations of a campaign file. Pure.
 
-use super::{Config, Pace, SIMULATED, monitor};
+use super::{Config, Pace, Reference, SIMULATED, monitor};
 use crate::estimate::mask::Limits;
 use crate::plan::{Plan, Purpose};
 use ditd_drivers::gige::GigeSettings;
@@ -315,6 +315,26 @@ fn optics(config: &Config, found: &mut Vec<Problem>) {
         "transmittance and reflectance of a window add up to at most 1".to_owned()
     });
     positive(found, o.wall_temperature_k, "optics.wall_temperature_k", "kelvin");
+    for (key, sigma) in [
+        ("optics.sigma_gamma_near", o.sigma_gamma_near),
+        ("optics.sigma_gamma_far", o.sigma_gamma_far),
+        ("optics.sigma_reflectance_far", o.sigma_reflectance_far),
+        ("optics.sigma_wall_temperature_k", o.sigma_wall_temperature_k),
+        ("optics.sigma_emissivity_plate", o.sigma_emissivity_plate),
+        ("optics.sigma_plate_uniformity_k", o.sigma_plate_uniformity_k),
+        ("optics.sigma_plate_reading_k", o.sigma_plate_reading_k),
+    ] {
+        let right = sigma.is_none_or(|sigma| sigma.is_finite() && sigma >= 0.0);
+        require(found, right, key, || "a standard deviation is not negative".to_owned());
+    }
+    if let Some(band) = &o.passband {
+        positive(found, band.centre_um, "optics.passband.centre_um", "micrometres");
+        positive(found, band.fwhm_um, "optics.passband.fwhm_um", "micrometres");
+        // The relation between width and curve is a second-order one.
+        require(found, band.fwhm_um <= band.centre_um, "optics.passband.fwhm_um", || {
+            format!("{} um is wider than the centre's {} um", band.fwhm_um, band.centre_um)
+        });
+    }
     require(found, o.calibration != "measure" || config.calibration.is_some(), "optics.calibration", || {
         "\"measure\" needs a [calibration] table with its levels".to_owned()
     });
@@ -348,6 +368,14 @@ fn optics(config: &Config, found: &mut Vec<Problem>) {
         require(found, calibration.warm_up <= 1000, "calibration.warm_up", || {
             format!("at most 1000 discarded frames, found {}", calibration.warm_up)
         });
+        if let Some([cold, hot]) = calibration.ambient_k {
+            // Closer together they move the picture by less than the offset's own wandering.
+            require(found, cold > 0.0 && hot - cold >= 20.0, "calibration.ambient_k", || {
+                format!(
+                    "two temperatures in K, the second 20 K above the first at least, found {cold} and {hot}"
+                )
+            });
+        }
         require(found, (2..=10_000).contains(&calibration.frames), "calibration.frames", || {
             format!("between 2 and 10000 frames, found {}", calibration.frames)
         });
@@ -418,8 +446,12 @@ fn world(config: &Config, found: &mut Vec<Problem>) {
     });
     require(
         found,
-        config.calibration.is_none() || rig.detector.shutter_temperature_k.is_some(),
+        config.calibration.as_ref().is_none_or(|c| c.reference == Reference::Fitted)
+            || rig.detector.shutter_temperature_k.is_some(),
         "rig.detector",
-        || "the calibration needs a camera with a shutter: shutter_temperature_k is missing".to_owned(),
+        || {
+            "the calibration needs a camera with a shutter: shutter_temperature_k is missing; or [calibration] reference = \"fitted\""
+                .to_owned()
+        },
     );
 }

@@ -12,6 +12,7 @@ pub use check::Problem;
 pub use diagnose::ConfigError;
 pub use monitor::{Monitor, MonitorValue};
 
+use crate::estimate::calibration::Passband;
 use crate::estimate::mask::Limits;
 use ditd_drivers::gige::GigeSettings;
 use ditd_drivers::trigger_limits::TriggerLimits;
@@ -225,6 +226,15 @@ pub struct Camera {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<serde_json::Value>")]
     pub gige: Option<GigeSettings>,
+    /// Which camera it is, for the key of calibrations: a name or serial number. Absent: not told apart.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Its lens, for the key of calibrations. Absent: not told apart.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lens: Option<String>,
+    /// Its gain setting, for the key of calibrations. Absent: not told apart.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gain: Option<String>,
 }
 
 /// `[optics]`
@@ -243,6 +253,37 @@ pub struct Optics {
     pub emissivity_plate: f64,
     /// `"measure"` or the path of a calibration folder or `calibration.json`.
     pub calibration: String,
+    /// The filter, for the key of calibrations. Absent: not told apart.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub filter: Option<String>,
+    /// Pass band of camera, lens and filter from the data sheets: it holds the calibration curve's exponent where points
+    /// are few or noisy. Absent: from the points alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub passband: Option<Passband>,
+    /// Standard deviation of `gamma_near` for the uncertainty budget. Absent, as for all that follow: not in the budget, and
+    /// the summary says so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_gamma_near: Option<f64>,
+    /// Standard deviation of `gamma_far`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_gamma_far: Option<f64>,
+    /// Standard deviation of `reflectance_far`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_reflectance_far: Option<f64>,
+    /// Standard deviation of `wall_temperature_k`, in K.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_wall_temperature_k: Option<f64>,
+    /// Standard deviation of `emissivity_plate`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_emissivity_plate: Option<f64>,
+    /// Standard deviation of the plate's temperature over its surface, in K: what a pixel's part of it differs from the
+    /// reading.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_plate_uniformity_k: Option<f64>,
+    /// Standard deviation of the plate's reading against the true scale, in K, common to calibration and campaign: its
+    /// certificate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_plate_reading_k: Option<f64>,
 }
 
 /// `[calibration]`: acquisition of the standard curve, without chamber and injector.
@@ -256,6 +297,23 @@ pub struct Calibration {
     /// Frames thrown away before each series: more than in a campaign, since the series with the shutter follows a
     /// long pause and the other does not, so that a camera's warming up does not cancel.
     pub warm_up: u32,
+    /// What the frames are compared with: the camera's shutter, or nothing, and the offset is fitted with the curve.
+    #[serde(default)]
+    pub reference: Reference,
+    /// Two temperatures of what the plate mirrors, in K, for `--kind emissivity` without a reference body.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ambient_k: Option<[f64; 2]>,
+}
+
+/// Where the offset of a calibration comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Reference {
+    /// Frames with the camera's shutter closed, at every level.
+    #[default]
+    Shutter,
+    /// The camera has none: the offset is a parameter of the curve, with its uncertainty.
+    Fitted,
 }
 
 /// `[fit]`

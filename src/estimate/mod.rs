@@ -7,6 +7,7 @@
 pub mod abel;
 pub mod accept;
 pub mod accumulate;
+pub mod budget;
 pub mod calibration;
 pub mod column;
 pub mod convergence;

@@ -6,6 +6,7 @@ use super::npz::{self, Packing};
 use super::preview::kinds::{Kind, kinds_to_png};
 use super::preview::{self, Colours, Preview};
 use super::{FileError, npz::to_bytes};
+use crate::estimate::budget::Part;
 use crate::estimate::map::{CHANNELS, DitMap, flag};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -74,6 +75,7 @@ pub fn npz_bytes(map: &DitMap) -> std::io::Result<Vec<u8>> {
     let plane = |values: &[f64]| Array { shape: shape.clone(), values: Values::F64(values.to_vec()) };
     let mut arrays: Vec<(&str, Array)> =
         CHANNELS.iter().zip(map.channels()).map(|((name, _), values)| (*name, plane(values))).collect();
+    arrays.extend(parts(map).map(|part| (part.name, plane(&part.sigma_k))));
     let levels = vec![map.levels, map.rows, map.columns];
     arrays.push(("count", Array { shape: levels.clone(), values: Values::U32(map.count.clone()) }));
     if !map.rejected.is_empty() {
@@ -120,6 +122,7 @@ fn exr_bytes(map: &DitMap, meta: &ResultMeta) -> std::io::Result<Vec<u8>> {
         .zip(map.channels())
         .map(|((name, _), values)| ((*name).to_owned(), narrow(values)))
         .collect();
+    channels.extend(parts(map).map(|part| (part.name.to_owned(), narrow(&part.sigma_k))));
     channels.push(("Y".into(), narrow(&map.temperature_k)));
     // Bits up to 2²⁴ and counts below it are exact in f32.
     #[expect(clippy::cast_precision_loss, reason = "below 2^24")]
@@ -147,6 +150,29 @@ fn ascii_description(map: &DitMap, meta: &ResultMeta) -> String {
     description(map, meta).to_string().chars().map(escaped).collect()
 }
 
+/// The parts of the uncertainty budget that are channels of their own.
+fn parts(map: &DitMap) -> impl Iterator<Item = &Part> {
+    map.budget.iter().flat_map(|budget| &budget.parts)
+}
+
+/// What the channels of the budget are, and what is not among them.
+fn budget_legend(map: &DitMap) -> serde_json::Value {
+    let Some(budget) = &map.budget else { return serde_json::Value::Null };
+    let kind = |systematic| if systematic { "systematic, common to all pixels" } else { "statistical" };
+    let noise =
+        serde_json::json!({ "name": "sigma_t_noise_k", "of": "the camera's noise", "kind": kind(false) });
+    let total = budget.parts.len().saturating_sub(1);
+    let parts = budget.parts.iter().enumerate().map(|(i, part)| {
+        let kind = if i == total { "statistical and systematic" } else { kind(part.systematic) };
+        serde_json::json!({ "name": part.name, "of": part.of, "kind": kind })
+    });
+    serde_json::json!({
+        "parts": std::iter::once(noise).chain(parts).collect::<Vec<_>>(),
+        "not_in_it": budget.absent,
+        "sigma_temperature_k": "sigma_t_noise_k and sigma_t_shots_k in squares",
+    })
+}
+
 fn escaped(character: char) -> String {
     if character.is_ascii() {
         return character.to_string();
@@ -157,8 +183,12 @@ fn escaped(character: char) -> String {
 
 /// Units, flag legend and versions: the JSON text in the EXR.
 pub fn description(map: &DitMap, meta: &ResultMeta) -> serde_json::Value {
-    let units: serde_json::Map<String, serde_json::Value> =
-        CHANNELS.iter().map(|(name, unit)| ((*name).to_owned(), (*unit).into())).collect();
+    let units: serde_json::Map<String, serde_json::Value> = CHANNELS
+        .iter()
+        .copied()
+        .chain(parts(map).map(|part| (part.name, "K")))
+        .map(|(name, unit)| (name.to_owned(), unit.into()))
+        .collect();
     serde_json::json!({
         "schema": MAP_SCHEMA,
         "software": concat!("ditd ", env!("CARGO_PKG_VERSION")),
@@ -166,6 +196,7 @@ pub fn description(map: &DitMap, meta: &ResultMeta) -> serde_json::Value {
         "estimator": map.estimator.name(),
         "confidence": map.confidence,
         "units": units,
+        "budget": budget_legend(map),
         "flags": flag_legend(),
         "more": meta.more,
     })

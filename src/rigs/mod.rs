@@ -85,7 +85,7 @@ pub struct Beginning {
 
 /// Number of the first frame of a simulated calibration: far from those of a campaign, so that the same camera never
 /// draws the same noise twice.
-const FIRST_CALIBRATION_FRAME: u64 = 1 << 24;
+pub const FIRST_CALIBRATION_FRAME: u64 = 1 << 24;
 
 /// An open rig.
 #[derive(Debug)]

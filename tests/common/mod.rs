@@ -47,6 +47,18 @@ impl Preset {
             .with("rig.fluctuation.correlation_length_px", "2.0")
     }
 
+    /// The same without the value at a dotted path.
+    pub(crate) fn without(mut self, path: &str) -> Self {
+        let mut keys: Vec<&str> = path.split('.').collect();
+        let last = keys.pop().unwrap();
+        let mut table = &mut self.0;
+        for key in keys {
+            table = table.get_mut(key).and_then(Value::as_table_mut).unwrap();
+        }
+        table.remove(last).unwrap();
+        self
+    }
+
     /// The five hours of orchestration as shipped.
     pub(crate) fn long() -> Self {
         Self::of(include_str!("../../configs/long.toml"))

@@ -1,6 +1,6 @@
 //! What a fit has to know besides the counts: levels, windows, plate, curve, camera, and how to weight.
 
-use crate::estimate::calibration::{Range, SakumaHattori};
+use crate::estimate::calibration::{Range, Residual, SakumaHattori};
 use crate::estimate::line;
 
 /// How the lines are weighted.
@@ -68,6 +68,8 @@ pub struct FitInputs<'a> {
     pub far_window_counts: f64,
     /// I_cal of a black body without offset.
     pub curve: SakumaHattori,
+    /// What the curve leaves of the camera's behaviour; None for nothing.
+    pub residual: Option<&'a Residual>,
     /// Where the curve is calibrated; None trusts it everywhere.
     pub range: Option<Range>,
     /// The camera's own noise.

@@ -73,6 +73,8 @@ pub(super) struct Group<V> {
     pub(super) flags: V,
     /// Where a pixel changes at all: 1, else 0.
     pub(super) alive: V,
+    /// Whether any pixel nearby has a level of one cycle.
+    pub(super) singles: bool,
 }
 
 /// A line.
@@ -95,6 +97,8 @@ pub(super) struct Fitted<V> {
     pub(super) covariance: [V; 3],
     /// var(slope), for the emissivity.
     pub(super) slope_variance: V,
+    /// Variance of the line at its crossing, in counts², that the camera's noise alone would give with these weights.
+    pub(super) noise: V,
     /// 1/ν of the crossing's variance and of the slope's.
     pub(super) inverse_freedoms: [V; 2],
     pub(super) flags: V,
@@ -154,8 +158,8 @@ pub(super) fn fit<V: Lanes>(
     let zero = one.all(0.0);
     let gains = gain(one, constants, levels, weights);
     let (fitted, defined) = match estimator {
-        Estimator::Ols => unweighted(one, constants, levels, weights),
-        Estimator::Paper => papers(one, constants, levels, weights),
+        Estimator::Ols => unweighted(one, constants, group, levels, weights),
+        Estimator::Paper => papers(one, constants, group, levels, weights),
         Estimator::Default => ours(one, constants, group, levels, weights, camera),
     };
     let mut answer = judge(one, constants, estimator == Estimator::Default, &fitted);
@@ -176,7 +180,7 @@ pub(super) fn fit<V: Lanes>(
 }
 
 /// Where `gain` stands among the channels.
-pub(super) const GAIN: usize = 12;
+pub(super) const GAIN: usize = 13;
 
 /// Slope of the blanks against I_cal and its standard deviation; NaN below two and three levels.
 #[inline(always)]
@@ -205,6 +209,7 @@ fn present<V: Lanes>(one: V, levels: &[Level<V>], weights: &mut [V]) {
 fn unweighted<V: Lanes>(
     one: V,
     constants: &Constants,
+    group: &Group<V>,
     levels: &[Level<V>],
     weights: &mut [V],
 ) -> (Fitted<V>, V::Mask) {
@@ -220,6 +225,7 @@ fn unweighted<V: Lanes>(
         line,
         covariance: [slope, scale / line.weight, zero],
         slope_variance: slope,
+        noise: camera_noise(one, constants, group, levels, weights, &line),
         inverse_freedoms: [inverse, inverse],
         flags: V::pick(some, zero, one.all(f64::from(flag::NO_STATISTICS))),
     };
@@ -231,6 +237,7 @@ fn unweighted<V: Lanes>(
 fn papers<V: Lanes>(
     one: V,
     constants: &Constants,
+    group: &Group<V>,
     levels: &[Level<V>],
     weights: &mut [V],
 ) -> (Fitted<V>, V::Mask) {
@@ -248,10 +255,14 @@ fn papers<V: Lanes>(
         line,
         covariance: [slope, unit / line.weight, zero],
         slope_variance: slope,
+        noise: camera_noise(one, constants, group, levels, weights, &line),
         inverse_freedoms: [zero, zero],
         flags: zero,
     };
-    let (other, other_defined) = unweighted(one, constants, levels, weights);
+    if !group.singles {
+        return (own, defined);
+    }
+    let (other, other_defined) = unweighted(one, constants, group, levels, weights);
     let back = one.all(f64::from(flag::FELL_BACK_TO_OLS));
     let other = Fitted { flags: other.flags + back, ..other };
     let here = one.all(1.0);
@@ -280,6 +291,7 @@ fn choose<V: Lanes>(mask: V::Mask, yes: &Fitted<V>, no: &Fitted<V>) -> Fitted<V>
             V::pick(mask, yes.covariance[2], no.covariance[2]),
         ],
         slope_variance: V::pick(mask, yes.slope_variance, no.slope_variance),
+        noise: V::pick(mask, yes.noise, no.noise),
         inverse_freedoms: [
             V::pick(mask, yes.inverse_freedoms[0], no.inverse_freedoms[0]),
             V::pick(mask, yes.inverse_freedoms[1], no.inverse_freedoms[1]),
@@ -310,15 +322,9 @@ fn ours<V: Lanes>(
         high = V::pick(there, high.larger(one.all(x)), high);
         pools = pools + V::pick(zero.at_most(level.pooled), here, zero);
     }
-    // The camera's own variance, in the scale of the calibrated gain.
     let scale = unit / (group.flat * group.flat);
-    let (fixed, per_count) = (one.all(constants.fixed), one.all(constants.per_count));
-    let (dark, share) = (one.all(constants.zero_counts), one.all(1.0 / constants.blanks));
     for (camera, level) in camera.iter_mut().zip(levels) {
-        let blank = level.blank * group.flat;
-        let spray = blank + level.mean * group.flat;
-        let shot = (spray - dark).larger(zero) + (blank - dark).larger(zero) * share;
-        *camera = (fixed + shot * per_count) * scale;
+        *camera = camera_variance(one, constants, group, scale, level);
     }
     // A crossing is believed up to half the range of x outside it.
     let margin = (high - low) * one.all(0.5);
@@ -360,6 +366,46 @@ fn ours<V: Lanes>(
     let fitted = sandwich(one, constants, levels, weights, camera, &line_now);
     let alone = one.both(defined, pools.below(one.all(2.0)));
     (Fitted { flags: fitted.flags + one.bit(alone, ALONE), ..fitted }, defined)
+}
+
+/// The camera's own variance of spray − blank in one cycle, in the scale of the calibrated gain; `scale` is 1/flat².
+#[inline(always)]
+fn camera_variance<V: Lanes>(
+    one: V,
+    constants: &Constants,
+    group: &Group<V>,
+    scale: V,
+    level: &Level<V>,
+) -> V {
+    let zero = one.all(0.0);
+    let (dark, share) = (one.all(constants.zero_counts), one.all(1.0 / constants.blanks));
+    let blank = level.blank * group.flat;
+    let spray = blank + level.mean * group.flat;
+    let shot = (spray - dark).larger(zero) + (blank - dark).larger(zero) * share;
+    (one.all(constants.fixed) + shot * one.all(constants.per_count)) * scale
+}
+
+/// Variance of a line at its crossing that the camera's noise alone would give.
+#[inline(always)]
+fn camera_noise<V: Lanes>(
+    one: V,
+    constants: &Constants,
+    group: &Group<V>,
+    levels: &[Level<V>],
+    weights: &[V],
+    line: &Lined<V>,
+) -> V {
+    let (zero, unit) = (one.all(0.0), one.all(1.0));
+    let scale = unit / (group.flat * group.flat);
+    let (per_weight, per_spread) = (unit / line.weight, unit / line.spread);
+    let d = (zero - line.mean_y / line.slope) * per_spread;
+    let mut noise = zero;
+    for ((&x, level), &w) in constants.x.iter().zip(levels).zip(weights) {
+        let at = w * (per_weight + d * (one.all(x) - line.mean_x));
+        let camera = camera_variance(one, constants, group, scale, level) / level.count;
+        noise = noise + V::pick(zero.below(w), at * at * camera, zero);
+    }
+    noise
 }
 
 /// A, B ≥ 0 of the normal equations (aa, ab, bb, ay, by), in closed form.
@@ -426,7 +472,8 @@ fn sandwich<V: Lanes>(
         crossing_2 = crossing_2 + part * part * inverse_total;
         slope_2 = slope_2 + of_slope * of_slope * inverse_total;
     }
-    let lower = at_crossing_of(one, d, &own).below(at_crossing_of(one, d, &floor));
+    let noise = at_crossing_of(one, d, &floor);
+    let lower = at_crossing_of(one, d, &own).below(noise);
     let lower_slope = own[0].below(floor[0]);
     Fitted {
         line: *line,
@@ -436,6 +483,7 @@ fn sandwich<V: Lanes>(
             V::pick(lower, floor[2], own[2]),
         ],
         slope_variance: V::pick(lower_slope, floor[0], own[0]),
+        noise,
         inverse_freedoms: [
             V::pick(lower, zero, crossing_2 / (crossing * crossing)),
             V::pick(lower_slope, zero, slope_2 / (own[0] * own[0])),
@@ -542,6 +590,8 @@ pub(super) fn judge<V: Lanes>(one: V, constants: &Constants, ours: bool, fitted:
     let open = V::pick(bounded, zero, V::pick(v_slope.finite(), one.all(1.0), zero));
     let mut flags = one.bit(negative, flag::NEGATIVE_EMISSIVITY) + fitted.flags;
     flags = flags + one.bit(zero.below(open), flag::NOT_RESOLVED);
+    // A line without a slope has no crossing; the NaN of 0 · ∞ carries a sign that depends on how it was compiled.
+    let noise = fitted.noise.root() / slope.size();
     let silent = if ours { one.either(zero.below(open), negative) } else { one.below(zero) };
     let crossing = V::pick(silent, nan, crossing);
     let channels = [
@@ -557,6 +607,7 @@ pub(super) fn judge<V: Lanes>(one: V, constants: &Constants, ours: bool, fitted:
         emissivity + width,
         V::pick(silent, nan, V::pick(bounded, low, nan)),
         V::pick(silent, nan, V::pick(bounded, high, nan)),
+        V::pick(silent, nan, V::pick(noise.finite(), noise, nan)),
         nan,
         nan,
     ];

@@ -1,6 +1,6 @@
 //! Row by row from exact sums to means, variances and pooled variances, in memory that stays in the cache.
 //!
-//! Five rows of statistics are kept, since a pooled variance needs two rows above and two below. A row's bits do not
+//! Rows of statistics are kept, since a pooled variance needs two rows above and two below. A row's bits do not
 //! depend on where the walk began, so any cut of the image among threads gives the same map.
 
 use super::lanes::{Number, WIDEST};
@@ -11,8 +11,12 @@ use std::ops::Range;
 /// Rows and columns on each side of a pixel that lend it their variances: windows of 5 × 5.
 const RADIUS: usize = 2;
 
-/// Rows that are kept.
-const KEPT: usize = 2 * RADIUS + 1;
+/// Rows whose sums are read in one go: the machine fetches ahead within pages of memory, and a row of one sum is
+/// hardly longer than a page.
+const GULP: usize = 4;
+
+/// Rows that are kept: a window's, and what is read ahead.
+const KEPT: usize = 2 * RADIUS + GULP;
 
 /// Statistics of a row, each `[level][stride]`, levels with an x only.
 pub(super) struct Row<'a, F> {
@@ -35,6 +39,8 @@ pub(super) struct Row<'a, F> {
     pub(super) flat: &'a [F],
     pub(super) flags: &'a [F],
     pub(super) alive: &'a [F],
+    /// Whether any of its pixels has a level of one cycle.
+    pub(super) singles: bool,
 }
 
 /// Rows kept of one band of an image.
@@ -63,6 +69,7 @@ struct Slot<F> {
     flags: Vec<F>,
     alive: Vec<F>,
     lost: Vec<u32>,
+    singles: bool,
 }
 
 impl<'a, F: Number> Walk<'a, F> {
@@ -82,6 +89,7 @@ impl<'a, F: Number> Walk<'a, F> {
             flags: vec![zero; stride],
             alive: vec![zero; stride],
             lost: vec![0; columns],
+            singles: false,
         };
         let padded = || vec![zero; stride + 2 * RADIUS];
         Self {
@@ -111,8 +119,10 @@ impl<'a, F: Number> Walk<'a, F> {
     pub(super) fn row(&mut self) -> Option<Row<'_, F>> {
         let row = self.rows.next()?;
         while self.filled < (row + self.reach + 1).min(self.sums.rows()) {
-            self.fill(self.filled);
-            self.filled += 1;
+            let last = (self.rows.end + self.reach).min(self.sums.rows());
+            let to = (self.filled + GULP).min(last);
+            self.fill(self.filled..to);
+            self.filled = to;
         }
         if self.reach > 0 {
             self.pool(row);
@@ -130,32 +140,42 @@ impl<'a, F: Number> Walk<'a, F> {
             flat: &slot.flat,
             flags: &slot.flags,
             alive: &slot.alive,
+            singles: slot.singles,
         })
     }
 
-    /// Statistics of one row.
+    /// Statistics of some rows.
     #[inline(always)]
-    fn fill(&mut self, row: usize) {
-        let range = row * self.columns..(row + 1) * self.columns;
-        let slot = &mut self.slots[row % KEPT];
-        let flat = self.flat_gain.map(|flat| &flat[range.clone()]);
-        if let Some(flat) = flat {
-            slot.flat.iter_mut().zip(flat).for_each(|(to, &gain)| *to = F::of(gain));
-        }
-        let b = f64::from(self.sums.blanks_per_cycle());
+    fn fill(&mut self, rows: Range<usize>) {
         for (k, &level) in self.used.iter().enumerate() {
             let level = &self.sums.levels()[level];
-            let to = k * self.stride..k * self.stride + self.columns;
-            let out = Statistics {
-                count: &mut slot.count[to.clone()],
-                mean: &mut slot.mean[to.clone()],
-                own: &mut slot.own[to.clone()],
-                blank: &mut slot.blank[to],
-            };
-            statistics(level, range.clone(), b, self.sums.blanks_per_cycle(), out);
-            if flat.is_some() {
+            for row in rows.clone() {
+                let range = row * self.columns..(row + 1) * self.columns;
+                let slot = &mut self.slots[row % KEPT];
                 let to = k * self.stride..k * self.stride + self.columns;
-                calibrate(slot, to);
+                let out = Statistics {
+                    count: &mut slot.count[to.clone()],
+                    mean: &mut slot.mean[to.clone()],
+                    own: &mut slot.own[to.clone()],
+                    blank: &mut slot.blank[to],
+                };
+                statistics(level, range, self.sums.blanks_per_cycle(), out);
+            }
+        }
+        for row in rows {
+            self.finish(row);
+        }
+    }
+
+    /// Gains, flags and life of a row whose statistics are there.
+    #[inline(always)]
+    fn finish(&mut self, row: usize) {
+        let range = row * self.columns..(row + 1) * self.columns;
+        let slot = &mut self.slots[row % KEPT];
+        if let Some(flat) = self.flat_gain {
+            slot.flat.iter_mut().zip(&flat[range.clone()]).for_each(|(to, &gain)| *to = F::of(gain));
+            for k in 0..self.used.len() {
+                calibrate(slot, k * self.stride..k * self.stride + self.columns);
             }
         }
         slot.lost.fill(0);
@@ -176,8 +196,14 @@ impl<'a, F: Number> Walk<'a, F> {
         if self.used.is_empty() {
             return;
         }
+        let two = F::of(2.0);
+        let mut singles = 0_u32;
+        for &n in &slot.count[..self.used.len() * self.stride] {
+            singles += u32::from(F::of(0.0) < n && n < two);
+        }
+        slot.singles = singles > 0;
         // Hardly a pixel is still: a row without one is told by its first level alone.
-        let (zero, two) = (F::of(0.0), F::of(2.0));
+        let zero = F::of(0.0);
         let mut still = 0_u32;
         for (&n, &own) in slot.count[..self.columns].iter().zip(&slot.own[..self.columns]) {
             still += u32::from(n < two || own <= zero);
@@ -241,27 +267,27 @@ struct Statistics<'a, F> {
     blank: &'a mut [F],
 }
 
+/// Below so many cycles times blanks n²·Y² < (n·b·2¹⁶)² stays below 2⁵³.
+const EXACT_SAMPLES: u64 = 1448;
+
 /// Means and variances of one level and row, not yet divided by the pixels' gains.
 #[inline(always)]
-fn statistics<F: Number>(
-    level: &LevelSums,
-    range: Range<usize>,
-    b: f64,
-    blanks: u16,
-    out: Statistics<'_, F>,
-) {
-    let n = range.len();
+fn statistics<F: Number>(level: &LevelSums, range: Range<usize>, blanks: u16, out: Statistics<'_, F>) {
+    let (n, b) = (range.len(), f64::from(blanks));
     let (sum, squares) = (&level.sum[range.clone()], &level.sum_squares[range.clone()]);
     let (lit, count) = (&level.sum_blanks[range.clone()], &level.count[range]);
     let (counts, means) = (&mut out.count[..n], &mut out.mean[..n]);
     let (owns, blank) = (&mut out.own[..n], &mut out.blank[..n]);
-    let (mut most, mut largest) = (0_u32, 0_u64);
-    for i in 0..n {
-        most = most.max(count[i]);
-        largest |= squares[i];
-    }
-    // n·ΣY² and (ΣY)² ≤ n·ΣY² are exact in f64 below 2⁵³.
-    let exact = u128::from(most) * (u128::from(largest) + 1) < 1 << 53;
+    // n·ΣY² and (ΣY)² ≤ n·ΣY² are exact in f64 below 2⁵³. |Y| is below 2¹⁶ for every blank, so that few cycles need no
+    // look at the sums.
+    let exact = u64::from(level.cycles) * u64::from(blanks) < EXACT_SAMPLES || {
+        let (mut most, mut largest) = (0_u32, 0_u64);
+        for i in 0..n {
+            most = most.max(count[i]);
+            largest |= squares[i];
+        }
+        u128::from(most) * (u128::from(largest) + 1) < 1 << 53
+    };
     let zero = F::of(0.0);
     #[expect(
         clippy::cast_precision_loss,

@@ -127,6 +127,18 @@ impl Pixel {
         #[expect(clippy::cast_precision_loss, reason = "a number of levels")]
         let points = self.x.len() as f64;
         let line = fit.line;
+        let d = -line.mean_y / line.slope;
+        let noise: f64 = self
+            .scratch
+            .weights()
+            .iter()
+            .zip(&self.x)
+            .zip(self.camera.iter().zip(&self.count))
+            .map(|((w, x), (camera, n))| {
+                let at = w * (1.0 / line.weight + d * (x - line.mean_x) / line.spread);
+                at * at * camera / n
+            })
+            .sum();
         let fitted = Fitted {
             line: Lined {
                 slope: one(line.slope),
@@ -139,6 +151,7 @@ impl Pixel {
             },
             covariance: [one(fit.covariance.slope), one(fit.covariance.mean), one(fit.covariance.cross)],
             slope_variance: one(fit.slope_variance),
+            noise: one(noise),
             inverse_freedoms: [one(1.0 / fit.freedom_crossing), one(1.0 / fit.freedom_slope)],
             flags: one(f64::from(flags)),
         };
@@ -194,6 +207,15 @@ impl Pixel {
         };
         let levels = self.levels.iter().map(|&k| used[k]).collect();
         Some(Detail { levels, weights, line, covariance, freedom })
+    }
+
+    /// dS/dx of the gathered levels, in their order; None where they do not define a line.
+    pub(super) fn crossing_shares(&mut self, estimator: Estimator) -> Option<Vec<f64>> {
+        let weights = self.weights(estimator)?;
+        let line = line::weighted(&self.x, &self.y, &weights)?;
+        let d = line.crossing - line.mean_x;
+        let share = |(w, x): (&f64, &f64)| w * (1.0 / line.weight + d * (x - line.mean_x) / line.spread);
+        Some(weights.iter().zip(&self.x).map(share).collect())
     }
 
     /// The weights that `estimator` gives the gathered levels; None where they do not define a line.

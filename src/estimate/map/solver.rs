@@ -189,6 +189,7 @@ impl<F: Number> Writer<F> {
                 flat: F::read(simd, row.flat, vector),
                 flags: F::read(simd, row.flags, vector),
                 alive: F::read(simd, row.alive, vector),
+                singles: row.singles,
             };
             let answer = kernel::fit(one, &common.constants, common.inputs.estimator, &group, scratch);
             for (channel, value) in self.channels.iter_mut().zip(answer.channels) {
@@ -244,9 +245,9 @@ impl<F: Number> Writer<F> {
     }
 
     #[inline(always)]
-    fn read(&mut self, thermometer: &Thermometer<F>) {
-        let [_, _, _, _, temperature, _, sigma, _, _, _, low, high, _, _] = &mut self.channels;
-        thermometer.read_flagged(temperature, sigma, &self.asked, &mut self.bits);
+    fn read(&mut self, thermometer: &Thermometer<'_, F>) {
+        let [_, _, _, _, temperature, _, sigma, _, _, _, low, high, noise, _, _] = &mut self.channels;
+        thermometer.read_flagged(temperature, [sigma, noise], &self.asked, &mut self.bits);
         thermometer.read(low);
         thermometer.read(high);
     }
@@ -349,6 +350,36 @@ pub fn lines_with_same_weights(
 ) -> Vec<Option<Line>> {
     let levels = sums.levels().len();
     assert!(x.len() == levels && y.len() == levels, "one x and one image per level");
+    by_pixel(sums, inputs, |used, pixel, i| {
+        pixel.weights(inputs.estimator).and_then(|weights| {
+            let x: Vec<f64> = pixel.levels.iter().map(|&k| x[used[k]]).collect();
+            let y: Vec<f64> = pixel.levels.iter().map(|&k| y[used[k]][i]).collect();
+            line::weighted(&x, &y, &weights)
+        })
+    })
+}
+
+/// How much of a level's error in x goes over into a pixel's crossing: dS/dx_k, `[pixel · levels + level]`, adding up to
+/// one. NaN for a pixel without a line, 0 for a level that is not there.
+pub fn crossing_shares(sums: &Sums, inputs: &FitInputs<'_>) -> Vec<f64> {
+    let levels = sums.levels().len();
+    let shares = by_pixel(sums, inputs, |used, pixel, _| {
+        let mut all = vec![f64::NAN; levels];
+        if let Some(shares) = pixel.crossing_shares(inputs.estimator) {
+            all.fill(0.0);
+            pixel.levels.iter().zip(shares).for_each(|(&k, share)| all[used[k]] = share);
+        }
+        all
+    });
+    shares.concat()
+}
+
+/// What `of` makes of every pixel, on all threads; it is told which levels have an x, the pixel's own and its place.
+fn by_pixel<T: Send>(
+    sums: &Sums,
+    inputs: &FitInputs<'_>,
+    of: impl Fn(&[usize], &mut Pixel, usize) -> T + Sync,
+) -> Vec<T> {
     let common = Common::new(sums, inputs);
     if sums.columns() == 0 {
         return Vec::new();
@@ -356,27 +387,22 @@ pub fn lines_with_same_weights(
     let bands = rayon::current_num_threads() * BANDS_PER_THREAD;
     let height = sums.rows().div_ceil(bands).max(1);
     let starts: Vec<usize> = (0..sums.rows()).step_by(height).collect();
-    let bands: Vec<Vec<Option<Line>>> = starts
+    let bands: Vec<Vec<T>> = starts
         .into_par_iter()
         .map(|start| {
             let rows = start..(start + height).min(sums.rows());
             let mut pixel = Pixel::default();
-            let mut lines = Vec::with_capacity(rows.len() * sums.columns());
+            let mut found = Vec::with_capacity(rows.len() * sums.columns());
             let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
             walk.start(rows, common.pools());
             while let Some(row) = walk.row() {
                 for column in 0..row.columns {
                     let i = row.row * row.columns + column;
                     pixel.gather(&row, column, inputs, &common.constants, common.residuals.at(i));
-                    lines.push(pixel.weights(inputs.estimator).and_then(|weights| {
-                        let level = |&k: &usize| common.used[k];
-                        let x: Vec<f64> = pixel.levels.iter().map(|k| x[level(k)]).collect();
-                        let y: Vec<f64> = pixel.levels.iter().map(|k| y[level(k)][i]).collect();
-                        line::weighted(&x, &y, &weights)
-                    }));
+                    found.push(of(&common.used, &mut pixel, i));
                 }
             }
-            lines
+            found
         })
         .collect();
     bands.into_iter().flatten().collect()
@@ -399,6 +425,7 @@ mod tests {
             emissivity_plate: 0.99,
             far_window_counts: 0.0,
             curve: CURVE,
+            residual: None,
             range: None,
             camera: CameraNoise { read_noise_counts: 1.2, electrons_per_count: 500.0, zero_counts: 1500.0 },
             estimator,
@@ -461,7 +488,7 @@ mod tests {
                 scalar.reshape(&sums, &inputs);
                 let common = Common::new(&sums, &inputs);
                 let (planes, flags) = scalar.planes_mut();
-                let planes = planes.into_iter().collect();
+                let planes = planes.into_iter().map(Vec::as_mut_slice).collect();
                 fit_rows(pulp::Scalar::new(), &common, Band { rows: 0..sums.rows(), planes, flags });
                 mask_off_plate(&mut scalar, estimator);
                 assert_eq!(bits(&one), bits(&scalar), "{estimator:?} {cycles}");

@@ -2,11 +2,11 @@
 
 use super::lanes::Number;
 use super::{FitInputs, flag};
-use crate::estimate::calibration::{C2_UM_K, EXTRAPOLATION_MAX};
+use crate::estimate::calibration::{C2_UM_K, EXTRAPOLATION_MAX, Residual};
 
 /// I_cal(T_eff) = ε_B·(S + E_f), inverted.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Thermometer<F> {
+pub(super) struct Thermometer<'a, F> {
     plate: F,
     far: F,
     a_counts: F,
@@ -18,10 +18,11 @@ pub(super) struct Thermometer<F> {
     high_k: F,
     cold: F,
     hot: F,
+    residual: Option<&'a Residual>,
 }
 
-impl<F: Number> Thermometer<F> {
-    pub(super) fn new(inputs: &FitInputs<'_>) -> Self {
+impl<'a, F: Number> Thermometer<'a, F> {
+    pub(super) fn new(inputs: &FitInputs<'a>) -> Self {
         let (low_k, high_k, cold, hot) = match inputs.range {
             None => (0.0, f64::INFINITY, f64::INFINITY, 0.0),
             Some(range) => {
@@ -41,28 +42,60 @@ impl<F: Number> Thermometer<F> {
             high_k: F::of(high_k),
             cold: F::of(cold),
             hot: F::of(hot),
+            residual: inputs.residual,
         }
     }
 
     /// Turns crossings into temperatures in place; NaN outside the calibration.
     #[inline(always)]
     pub(super) fn read(&self, crossings: &mut [F]) {
+        match self.residual {
+            None => self.read_by(&|kelvin| (kelvin, F::of(1.0)), crossings),
+            Some(residual) => self.read_by(&|kelvin| corrected(residual, kelvin), crossings),
+        }
+    }
+
+    #[inline(always)]
+    fn read_by(&self, corrected: &impl Fn(F) -> (F, F), crossings: &mut [F]) {
         for value in crossings {
             let counts = self.counts(*value);
-            let kelvin = self.kelvin(counts);
+            let kelvin = corrected(self.kelvin(counts)).0;
             *value = if self.outside(kelvin) { F::NAN } else { kelvin };
         }
     }
 
     /// The same with flags where `asked` is 1, and the crossings' standard deviations into kelvins.
     #[inline(always)]
-    pub(super) fn read_flagged(&self, crossings: &mut [F], sigmas: &mut [F], asked: &[F], flags: &mut [u32]) {
+    pub(super) fn read_flagged(
+        &self,
+        crossings: &mut [F],
+        sigmas: [&mut [F]; 2],
+        asked: &[F],
+        flags: &mut [u32],
+    ) {
+        match self.residual {
+            None => self.read_flagged_by(&|kelvin| (kelvin, F::of(1.0)), crossings, sigmas, asked, flags),
+            Some(residual) => {
+                self.read_flagged_by(&|kelvin| corrected(residual, kelvin), crossings, sigmas, asked, flags);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn read_flagged_by(
+        &self,
+        corrected: &impl Fn(F) -> (F, F),
+        crossings: &mut [F],
+        [sigmas, noises]: [&mut [F]; 2],
+        asked: &[F],
+        flags: &mut [u32],
+    ) {
         let zero = F::of(0.0);
-        for (((value, sigma), &asked), flags) in
-            crossings.iter_mut().zip(sigmas.iter_mut()).zip(asked).zip(flags.iter_mut())
-        {
+        let each = crossings.iter_mut().zip(sigmas.iter_mut().zip(noises.iter_mut()));
+        for (((value, (sigma, noise)), &asked), flags) in each.zip(asked).zip(flags.iter_mut()) {
             let counts = self.counts(*value);
-            let kelvin = self.kelvin(counts);
+            let equation = self.kelvin(counts);
+            let (kelvin, by_equation) = corrected(equation);
             let light = zero < counts && kelvin.is_number();
             let outside = self.outside(kelvin);
             let inside = self.low_k <= kelvin && kelvin <= self.high_k;
@@ -76,12 +109,17 @@ impl<F: Number> Thermometer<F> {
                 flag::EXTRAPOLATED
             };
             *flags |= if zero < asked { bits } else { 0 };
-            let kept = if light && !outside { kelvin } else { F::NAN };
+            let known = light && !outside;
+            let kept = if known { equation } else { F::NAN };
             // dT/dI = w²/(I (1 + I/A) c2 a) with w = a T + b.
             let w = self.a_um * kept + self.b_um_k;
             let slope = w * w / (counts * (F::of(1.0) + counts / self.a_counts) * self.c2 * self.a_um);
-            *sigma = *sigma * self.plate * slope;
-            *value = kept;
+            let slope = self.plate * slope * by_equation;
+            // One NaN where nothing is known: the sign of a product of two depends on how it was compiled.
+            let (sigma_k, noise_k) = (*sigma * slope, *noise * slope);
+            *sigma = if known { sigma_k } else { F::NAN };
+            *noise = if known { noise_k } else { F::NAN };
+            *value = if known { kelvin } else { F::NAN };
         }
     }
 
@@ -112,6 +150,12 @@ impl<F: Number> Thermometer<F> {
         let kelvin = (self.c2 / (logarithm(u) + lost / u) - self.b_um_k) / self.a_um;
         if lit { kelvin } else { F::NAN }
     }
+}
+
+/// Temperature for one of the equation, and their ratio of small changes.
+fn corrected<F: Number>(residual: &Residual, equation: F) -> (F, F) {
+    let (kelvin, slope) = residual.apply(equation.wide());
+    (F::of(kelvin), F::of(slope))
 }
 
 /// ln(u) of a normal number u > 0, to an ulp: FreeBSD's e_log.c by K. C. Ng, without its branches.

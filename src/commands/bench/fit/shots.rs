@@ -76,6 +76,7 @@ pub(super) fn inputs(estimator: Estimator, camera: CameraNoise) -> FitInputs<'st
         emissivity_plate: EMISSIVITY_PLATE,
         far_window_counts: 0.0,
         curve: CURVE,
+        residual: None,
         range: None,
         camera,
         estimator,

@@ -1,114 +1,14 @@
-//! The camera's curve: counts against the temperature of a black body, and back.
-//!
-//! The Sakuma–Hattori equation in Planck form has three parameters, is monotone and has a closed inverse; it follows
-//! filtered 3–5 µm cameras to a millikelvin where straight interpolation of ten points errs by kelvins
-//! (F. Sakuma, S. Hattori 1982; recommended below the silver point by BIPM CCT-WG5).
-//! Does not acquire calibrations and does not know which camera, lens or filter they belong to.
+//! From points to the curve: damped least squares from start values of its own.
 
+use super::band::Known;
+use super::least_squares::{column_norms, damped_step, dot, solve, upper_inverse};
+use super::residual::{self, Residual};
+use super::{C2_UM_K, CalibrationError, CalibrationPoint, Passband, Range, SakumaHattori};
+use crate::estimate::line;
 use serde::{Deserialize, Serialize};
-
-/// Second radiation constant, in µm K (CODATA 2018, exact: hc/k).
-pub const C2_UM_K: f64 = 14_387.768_775;
-
-/// A reading is extrapolated by at most this fraction of the calibrated range, measured in 1/T.
-pub(super) const EXTRAPOLATION_MAX: f64 = 0.1;
 
 /// Iterations of the fit. Ordinary fits need 5 to 15; with this many the damping has tried everything.
 const ITERATIONS_MAX: usize = 200;
-
-/// I(T) = A / (exp(c2 / (a T + b)) − 1), counts without offset.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SakumaHattori {
-    /// A, in counts.
-    pub a_counts: f64,
-    /// a, in µm: near the mean effective wavelength.
-    pub a_um: f64,
-    /// b, in µm K: how the effective wavelength shifts with temperature.
-    pub b_um_k: f64,
-}
-
-impl SakumaHattori {
-    /// Counts of a black body at `temperature_k`, without offset. Relative error below (5 + 3u)·2⁻⁵³ with
-    /// u = c2/(aT+b). Zero where a T + b ≤ 0.
-    pub fn value(&self, temperature_k: f64) -> f64 {
-        let w = self.a_um * temperature_k + self.b_um_k;
-        if w <= 0.0 { 0.0 } else { self.a_counts / libm::expm1(C2_UM_K / w) }
-    }
-
-    /// Temperature, in K, of a black body that gives `counts` above the offset. NaN for counts ≤ 0 or NaN.
-    pub fn inverse(&self, counts: f64) -> f64 {
-        if counts > 0.0 {
-            (C2_UM_K / libm::log1p(self.a_counts / counts) - self.b_um_k) / self.a_um
-        } else {
-            f64::NAN
-        }
-    }
-
-    /// dT/dI, in K/count, where the curve gives `counts` > 0 at `temperature_k` = inverse(counts): no exponential.
-    pub fn inverse_derivative(&self, counts: f64, temperature_k: f64) -> f64 {
-        let w = self.a_um * temperature_k + self.b_um_k;
-        w * w / (counts * (1.0 + counts / self.a_counts) * C2_UM_K * self.a_um)
-    }
-
-    /// dI/dT at `temperature_k`, in counts/K. Zero where a T + b ≤ 0.
-    pub fn derivative(&self, temperature_k: f64) -> f64 {
-        let w = self.a_um * temperature_k + self.b_um_k;
-        if w <= 0.0 {
-            return 0.0;
-        }
-        let counts = self.value(temperature_k);
-        counts * (1.0 + counts / self.a_counts) * C2_UM_K * self.a_um / (w * w)
-    }
-}
-
-/// Where a temperature stands against the calibrated range.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Reach {
-    /// Between the coldest and the hottest point of the calibration.
-    Inside,
-    /// Outside by at most 10 % of the range in 1/T.
-    Extrapolated,
-    /// Further outside, or without a temperature: no answer.
-    Outside,
-}
-
-/// The calibrated range of temperatures.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Range {
-    /// Temperature of the coldest point, in K.
-    pub low_k: f64,
-    /// Temperature of the hottest point, in K.
-    pub high_k: f64,
-}
-
-impl Range {
-    /// Where `temperature_k` stands; NaN is outside.
-    pub fn reach(&self, temperature_k: f64) -> Reach {
-        let (cold, hot) = (1.0 / self.low_k, 1.0 / self.high_k);
-        let margin = EXTRAPOLATION_MAX * (cold - hot);
-        let at = 1.0 / temperature_k;
-        if self.low_k <= temperature_k && temperature_k <= self.high_k {
-            Reach::Inside
-        } else if temperature_k > 0.0 && at <= cold + margin && at >= hot - margin {
-            Reach::Extrapolated
-        } else {
-            Reach::Outside
-        }
-    }
-}
-
-/// One point of a calibration.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct CalibrationPoint {
-    /// Temperature of the black body, in K.
-    pub temperature_k: f64,
-    /// Mean counts of the camera.
-    pub counts: f64,
-    /// Standard deviation of `counts`, > 0.
-    pub sigma_counts: f64,
-}
 
 /// What is known of the counts without light.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -129,10 +29,13 @@ pub struct CalibrationFit {
     /// Covariance of (ln A, a in µm, b in µm K, offset in counts), from the points' sigmas. The last row is zero for
     /// a known offset.
     pub covariance: [[f64; 4]; 4],
-    /// Σ ((counts − curve)/sigma)².
+    /// Σ ((counts − curve)/sigma)², before any residual; with a stated pass band also what its two parameters add.
     pub chi2: f64,
-    /// Points less parameters.
+    /// Points, and two for a stated pass band, less parameters.
     pub dof: usize,
+    /// What the curve leaves of the points, where χ² demands it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual: Option<Residual>,
     /// Coldest and hottest point.
     pub range: Range,
     /// counts − curve, in counts, in the order of the points.
@@ -142,6 +45,55 @@ pub struct CalibrationFit {
 }
 
 impl CalibrationFit {
+    /// Counts above the offset at a temperature in K, the residual included. Zero where the curve is.
+    pub fn counts(&self, temperature_k: f64) -> f64 {
+        let equation = self.residual.as_ref().map_or(temperature_k, |residual| residual.undo(temperature_k));
+        self.curve.value(equation)
+    }
+
+    /// Temperature in K that gives `counts` above the offset, the residual included. NaN for counts ≤ 0 or NaN.
+    pub fn temperature(&self, counts: f64) -> f64 {
+        let equation = self.curve.inverse(counts);
+        self.residual.as_ref().map_or(equation, |residual| residual.apply(equation).0)
+    }
+
+    /// dI/dT at a temperature in K, in counts/K, the residual included.
+    pub fn derivative(&self, temperature_k: f64) -> f64 {
+        match &self.residual {
+            None => self.curve.derivative(temperature_k),
+            Some(residual) => {
+                let equation = residual.undo(temperature_k);
+                self.curve.derivative(equation) / residual.apply(equation).1
+            }
+        }
+    }
+
+    /// d(counts)/d(ln A, a in µm, b in µm K) at a temperature of the curve's equation, in K: what [`Self::variance_of`]
+    /// adds up.
+    pub fn gradient(&self, equation_k: f64) -> [f64; 3] {
+        let [by_a, by_um, by_um_k, _] = gradient(&self.curve, equation_k);
+        [by_a, by_um, by_um_k]
+    }
+
+    /// Variance, in counts², of a sum of the curve's counts at several temperatures, by the sum of their gradients.
+    /// Scaled by χ² per degree of freedom where that is above one: the points then scatter more than their sigmas say.
+    pub fn variance_of(&self, gradient: &[f64; 3]) -> f64 {
+        let mut variance = 0.0;
+        for (i, gi) in gradient.iter().enumerate() {
+            for (j, gj) in gradient.iter().enumerate() {
+                variance += gi * gj * self.covariance[i][j];
+            }
+        }
+        variance.max(0.0) * self.excess()
+    }
+
+    /// χ² per degree of freedom, at least one.
+    pub fn excess(&self) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "a number of points")]
+        let freedom = self.dof as f64;
+        if self.dof > 0 { (self.chi2 / freedom).max(1.0) } else { 1.0 }
+    }
+
     /// Standard deviation, in counts, of the curve above its offset at `temperature_k`: common to all pixels.
     pub fn sigma_counts(&self, temperature_k: f64) -> f64 {
         let gradient = gradient(&self.curve, temperature_k);
@@ -155,34 +107,6 @@ impl CalibrationFit {
     }
 }
 
-/// Why a calibration could not be fitted.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum CalibrationError {
-    /// calibration curve: {given} different temperatures for {needed} parameters. Add points, or measure the offset.
-    #[error(
-        "calibration curve: {given} different temperatures for {needed} parameters. Add points, or measure the offset."
-    )]
-    TooFewPoints {
-        /// Different temperatures given.
-        given: usize,
-        /// Parameters to fit.
-        needed: usize,
-    },
-    /// calibration curve: point {index} is not usable: temperature and sigma must be positive, all finite.
-    #[error(
-        "calibration curve: point {index} is not usable: temperature and sigma must be positive, all finite."
-    )]
-    BadPoint {
-        /// Its place, from 0.
-        index: usize,
-    },
-    /// calibration curve: the counts do not rise with temperature like a black body. Check the points and the offset.
-    #[error(
-        "calibration curve: the counts do not rise with temperature like a black body. Check the points and the offset."
-    )]
-    NotABlackBody,
-}
-
 /// Fits the curve to 3 to 50 points by damped least squares (Levenberg–Marquardt) from start values of its own.
 ///
 /// Noise-free points of the exact form come back to rounding: below 1e-6 K between the points.
@@ -194,45 +118,64 @@ pub fn fit_curve(
     points: &[CalibrationPoint],
     offset: OffsetMode,
 ) -> Result<CalibrationFit, CalibrationError> {
-    check(points, offset)?;
-    let start = start(points, offset).ok_or(CalibrationError::NotABlackBody)?;
+    fitted(points, offset, None)
+}
+
+/// As [`fit_curve`] with what the filter's data sheet says: it holds the exponent where few or noisy points do not, and
+/// costs two points' worth of freedom where they do. Two different temperatures are enough.
+///
+/// # Errors
+///
+/// As [`fit_curve`].
+pub fn fit_curve_in_band(
+    points: &[CalibrationPoint],
+    offset: OffsetMode,
+    band: &Passband,
+) -> Result<CalibrationFit, CalibrationError> {
+    fitted(points, offset, Some(band.parameters()))
+}
+
+fn fitted(
+    points: &[CalibrationPoint],
+    offset: OffsetMode,
+    known: Option<[Known; 2]>,
+) -> Result<CalibrationFit, CalibrationError> {
+    let parameters = if offset == OffsetMode::Free { 4 } else { 3 };
+    let stated = if known.is_some() { 2 } else { 0 };
+    super::check(points)?;
+    check_number(points, (parameters - stated).max(2))?;
+    let start = start(points, offset, known).ok_or(CalibrationError::NotABlackBody)?;
     let (best, iterations) = descend(points, start);
-    let Parameters { curve, offset_counts, free_offset, .. } = best;
+    let Parameters { curve, offset_counts, .. } = best;
     let finite = curve.a_counts.is_finite() && curve.a_um.is_finite() && curve.b_um_k.is_finite();
     if !finite || curve.a_counts <= 0.0 || curve.a_um <= 0.0 {
         return Err(CalibrationError::NotABlackBody);
     }
     let residuals: Vec<f64> =
         points.iter().map(|p| p.counts - curve.value(p.temperature_k) - offset_counts).collect();
-    let chi2 = residuals.iter().zip(points).map(|(r, p)| (r / p.sigma_counts) * (r / p.sigma_counts)).sum();
+    let chi2 = best.chi2(points);
+    let dof = points.len() + stated - parameters;
+    let residual =
+        residual::is_demanded(chi2, dof).then(|| Residual::of(points, &residuals, &curve, dof)).flatten();
     let fold = |pick: fn(f64, f64) -> f64| points.iter().map(|p| p.temperature_k).fold(f64::NAN, pick);
     Ok(CalibrationFit {
         curve,
         offset_counts,
         covariance: covariance(points, &best),
         chi2,
-        dof: points.len() - (3 + usize::from(free_offset)),
+        dof,
+        residual,
         range: Range { low_k: fold(f64::min), high_k: fold(f64::max) },
         residuals,
         iterations,
     })
 }
 
-fn check(points: &[CalibrationPoint], offset: OffsetMode) -> Result<(), CalibrationError> {
-    let bad = |p: &CalibrationPoint| {
-        !(p.temperature_k.is_finite()
-            && p.temperature_k > 0.0
-            && p.counts.is_finite()
-            && p.sigma_counts.is_finite()
-            && p.sigma_counts > 0.0)
-    };
-    if let Some(index) = points.iter().position(bad) {
-        return Err(CalibrationError::BadPoint { index });
-    }
+/// Refuses fewer different temperatures than parameters.
+fn check_number(points: &[CalibrationPoint], needed: usize) -> Result<(), CalibrationError> {
     let mut temperatures: Vec<f64> = points.iter().map(|p| p.temperature_k).collect();
     temperatures.sort_by(f64::total_cmp);
     temperatures.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
-    let needed = if offset == OffsetMode::Free { 4 } else { 3 };
     if temperatures.len() < needed {
         return Err(CalibrationError::TooFewPoints { given: temperatures.len(), needed });
     }
@@ -246,6 +189,8 @@ struct Parameters {
     free_offset: bool,
     /// Temperature at which the fit's own variables are taken: ln I and a T + b there, and a.
     pivot_k: f64,
+    /// a and b as they are known before the points.
+    known: Option<[Known; 2]>,
 }
 
 impl Parameters {
@@ -256,7 +201,20 @@ impl Parameters {
                 let r = (p.counts - self.offset_counts - self.curve.value(p.temperature_k)) / p.sigma_counts;
                 r * r
             })
+            .chain(self.known_rows().into_iter().flatten().map(|(_, r)| r * r))
             .sum()
+    }
+
+    /// d/d(step) and the distance of a and b from what is known of them, over their sigmas.
+    fn known_rows(&self) -> Option<[([f64; 4], f64); 2]> {
+        let [a, b] = self.known?;
+        let SakumaHattori { a_um, b_um_k, .. } = self.curve;
+        let w = a_um * self.pivot_k + b_um_k;
+        // b = w − a·pivot at constant w and a.
+        Some([
+            ([0.0, 0.0, 1.0 / a.sigma, 0.0], (a.value - a_um) / a.sigma),
+            ([0.0, w / b.sigma, -self.pivot_k / b.sigma, 0.0], (b.value - b_um_k) / b.sigma),
+        ])
     }
 
     /// Steps in (ln I(pivot), ln(a·pivot + b), a, offset). These are nearly independent, while A, a and b are
@@ -287,7 +245,7 @@ impl Parameters {
 }
 
 /// Start values: for each of many effective wavelengths (b = 0) the curve is linear in A and offset; the best wins.
-fn start(points: &[CalibrationPoint], offset: OffsetMode) -> Option<Parameters> {
+fn start(points: &[CalibrationPoint], offset: OffsetMode, known: Option<[Known; 2]>) -> Option<Parameters> {
     // Weighted by counts the hot end matters most; the pivot is the middle of the range in 1/T.
     let cold = points.iter().map(|p| 1.0 / p.temperature_k).fold(0.0, f64::max);
     let hot = points.iter().map(|p| 1.0 / p.temperature_k).fold(f64::INFINITY, f64::min);
@@ -303,6 +261,7 @@ fn start(points: &[CalibrationPoint], offset: OffsetMode) -> Option<Parameters> 
             offset_counts,
             free_offset: offset == OffsetMode::Free,
             pivot_k,
+            known,
         };
         let chi2 = parameters.chi2(points);
         if chi2.is_finite() && best.as_ref().is_none_or(|(least, _)| chi2 < *least) {
@@ -329,7 +288,7 @@ fn scaled(points: &[CalibrationPoint], shape: &SakumaHattori, offset: OffsetMode
         }
         OffsetMode::Free => {
             let y: Vec<f64> = points.iter().map(|p| p.counts).collect();
-            let line = super::line::weighted(&x, &y, &w)?;
+            let line = line::weighted(&x, &y, &w)?;
             (line.slope, line.offset)
         }
     };
@@ -367,10 +326,6 @@ fn descend(points: &[CalibrationPoint], start: Parameters) -> (Parameters, usize
     (at, ITERATIONS_MAX)
 }
 
-fn dot(a: &[f64; 4], b: &[f64; 4]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
 fn linearised(points: &[CalibrationPoint], at: &Parameters) -> (Vec<[f64; 4]>, Vec<f64>) {
     points
         .iter()
@@ -379,57 +334,8 @@ fn linearised(points: &[CalibrationPoint], at: &Parameters) -> (Vec<[f64; 4]>, V
             let r = (p.counts - at.offset_counts - at.curve.value(p.temperature_k)) / p.sigma_counts;
             (row, r)
         })
+        .chain(at.known_rows().into_iter().flatten())
         .unzip()
-}
-
-/// Least-squares step of the rows extended by √damping · column norm.
-fn damped_step(rows: &[[f64; 4]], residuals: &[f64], damping: f64) -> [f64; 4] {
-    let norms = column_norms(rows);
-    let mut all: Vec<[f64; 4]> = rows.iter().map(|row| std::array::from_fn(|j| row[j] / norms[j])).collect();
-    let mut right = residuals.to_vec();
-    for j in 0..4 {
-        let mut row = [0.0; 4];
-        row[j] = damping.sqrt();
-        all.push(row);
-        right.push(0.0);
-    }
-    let scaled = solve(all, right).1;
-    std::array::from_fn(|j| scaled[j] / norms[j])
-}
-
-fn column_norms(rows: &[[f64; 4]]) -> [f64; 4] {
-    std::array::from_fn(|j| {
-        let norm = rows.iter().map(|row| row[j] * row[j]).sum::<f64>().sqrt();
-        if norm > 0.0 { norm } else { 1.0 }
-    })
-}
-
-/// Modified Gram–Schmidt on the augmented matrix: returns R and the solution. A column without content gives zero.
-fn solve(mut rows: Vec<[f64; 4]>, mut right: Vec<f64>) -> ([[f64; 4]; 4], [f64; 4]) {
-    let mut r = [[0.0; 4]; 4];
-    let mut z = [0.0; 4];
-    for j in 0..4 {
-        let norm = rows.iter().map(|row| row[j] * row[j]).sum::<f64>().sqrt();
-        r[j][j] = norm;
-        if norm <= 1e-150 {
-            continue;
-        }
-        rows.iter_mut().for_each(|row| row[j] /= norm);
-        for k in j + 1..4 {
-            let projection: f64 = rows.iter().map(|row| row[j] * row[k]).sum();
-            r[j][k] = projection;
-            rows.iter_mut().for_each(|row| row[k] -= projection * row[j]);
-        }
-        let projection: f64 = rows.iter().zip(&right).map(|(row, right)| row[j] * right).sum();
-        z[j] = projection;
-        rows.iter().zip(&mut right).for_each(|(row, right)| *right -= projection * row[j]);
-    }
-    let mut x = [0.0; 4];
-    for j in (0..4).rev() {
-        let above: f64 = (j + 1..4).map(|k| r[j][k] * x[k]).sum();
-        x[j] = if r[j][j] > 1e-150 { (z[j] - above) / r[j][j] } else { 0.0 };
-    }
-    (r, x)
 }
 
 /// d(counts)/d(ln A, a, b, offset).
@@ -475,80 +381,6 @@ fn covariance(points: &[CalibrationPoint], at: &Parameters) -> [[f64; 4]; 4] {
     out
 }
 
-/// Inverse of an upper triangle; rows of absent parameters are zero.
-fn upper_inverse(r: &[[f64; 4]; 4]) -> [[f64; 4]; 4] {
-    // By columns: column c solves R·z = e_c from below.
-    let columns: [[f64; 4]; 4] = std::array::from_fn(|column| {
-        let mut z = [0.0; 4];
-        for i in (0..=column).rev() {
-            let unit = if i == column { 1.0 } else { 0.0 };
-            let above: f64 = (i + 1..=column).map(|k| r[i][k] * z[k]).sum();
-            z[i] = if r[i][i] > 1e-12 { (unit - above) / r[i][i] } else { 0.0 };
-        }
-        z
-    });
-    std::array::from_fn(|row| columns.map(|column| column[row]))
-}
-
-/// How today's counts follow from the standard curve: counts = gain · I_standard(T) + offset (the paper's mapping).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CurveMapping {
-    /// Gain of today against the standard curve.
-    pub gain: f64,
-    /// Offset of today, in counts.
-    pub offset_counts: f64,
-    /// Covariance of (gain, offset_counts): a systematic, common to all pixels.
-    pub covariance: [[f64; 2]; 2],
-    /// Σ ((counts − mapped)/sigma)².
-    pub chi2: f64,
-    /// Points less 2.
-    pub dof: usize,
-}
-
-impl CurveMapping {
-    /// Today's curve, counts above `offset_counts`: the standard one with A scaled.
-    pub fn curve(&self, standard: &SakumaHattori) -> SakumaHattori {
-        SakumaHattori { a_counts: self.gain * standard.a_counts, ..*standard }
-    }
-
-    /// Standard counts that today's `counts` stand for.
-    pub fn to_standard(&self, counts: f64) -> f64 {
-        (counts - self.offset_counts) / self.gain
-    }
-}
-
-/// Maps a short current curve of two or more points on the standard one.
-///
-/// # Errors
-///
-/// When the points are fewer than two, not finite, at one temperature, or fall with temperature.
-pub fn map_on_standard(
-    standard: &SakumaHattori,
-    current: &[CalibrationPoint],
-) -> Result<CurveMapping, CalibrationError> {
-    let bad = |p: &CalibrationPoint| !(p.sigma_counts > 0.0 && p.counts.is_finite() && p.temperature_k > 0.0);
-    if let Some(index) = current.iter().position(bad) {
-        return Err(CalibrationError::BadPoint { index });
-    }
-    let x: Vec<f64> = current.iter().map(|p| standard.value(p.temperature_k)).collect();
-    let y: Vec<f64> = current.iter().map(|p| p.counts).collect();
-    let w: Vec<f64> = current.iter().map(|p| 1.0 / (p.sigma_counts * p.sigma_counts)).collect();
-    let line = super::line::weighted(&x, &y, &w)
-        .ok_or(CalibrationError::TooFewPoints { given: current.len(), needed: 2 })?;
-    if line.slope.is_nan() || line.slope <= 0.0 {
-        return Err(CalibrationError::NotABlackBody);
-    }
-    let c = line.covariance();
-    let cross = line.slope_offset_covariance(&c);
-    Ok(CurveMapping {
-        gain: line.slope,
-        offset_counts: line.offset,
-        covariance: [[c.slope, cross], [cross, line.offset_variance(&c)]],
-        chi2: line.chi2,
-        dof: current.len() - 2,
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -570,21 +402,6 @@ mod tests {
             .map(|i| low + (high - low) * f64::from(i) / 100.0)
             .map(|t| (fit.curve.inverse(TRUTH.value(t)) - t).abs())
             .fold(0.0, f64::max)
-    }
-
-    #[test]
-    fn inverse_and_derivative_belong_to_the_curve() {
-        for t in [250.0, 300.0, 373.0, 449.0, 533.0, 900.0] {
-            assert!((TRUTH.inverse(TRUTH.value(t)) / t - 1.0).abs() < 1e-14);
-            let h = 1e-3;
-            let slope = (TRUTH.value(t + h) - TRUTH.value(t - h)) / (2.0 * h);
-            assert!((TRUTH.derivative(t) / slope - 1.0).abs() < 1e-8);
-            let inverse = TRUTH.inverse_derivative(TRUTH.value(t), t);
-            assert!((TRUTH.derivative(t) * inverse - 1.0).abs() < 1e-13);
-        }
-        assert!(
-            TRUTH.inverse(0.0).is_nan() && TRUTH.inverse(-1.0).is_nan() && TRUTH.inverse(f64::NAN).is_nan()
-        );
     }
 
     /// Ten noise-free points of the exact form: well below the 1.2 mK that other filters leave.
@@ -660,16 +477,5 @@ mod tests {
         let variance = sum_squares / 400.0 - (sum / 400.0) * (sum / 400.0);
         let predicted = expected.sigma_counts(449.0);
         assert!((variance / (predicted * predicted) - 1.0).abs() < 0.28, "{variance} {predicted}");
-    }
-
-    #[test]
-    fn range_is_judged_in_inverse_temperature() {
-        let range = Range { low_k: 373.0, high_k: 533.0 };
-        assert_eq!(range.reach(373.0), Reach::Inside);
-        assert_eq!(range.reach(365.0), Reach::Extrapolated);
-        assert_eq!(range.reach(555.0), Reach::Extrapolated);
-        assert_eq!(range.reach(340.0), Reach::Outside);
-        assert_eq!(range.reach(600.0), Reach::Outside);
-        assert_eq!(range.reach(f64::NAN), Reach::Outside);
     }
 }
