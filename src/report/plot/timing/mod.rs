@@ -165,8 +165,8 @@ impl Timing<'_> {
             let style = format!("fill=\"{ink}\" font-weight=\"{weight}\"");
             text(out, x + 0.5 * column, top - 12.0, "middle", &style, name);
         }
-        let period = p.period_ns as f64;
-        let place = |ns: f64| x + ns / period * column;
+        let period = (p.period_ns as f64).max(1.0);
+        let place = |ns: f64| x + (ns / period).min(1.0) * column;
         for (row, (_, _, colour)) in SIGNALS.iter().enumerate() {
             let y = base(top, row);
             line(out, [x, y, x + column, y], colour, "1.4", "");
