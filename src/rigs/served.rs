@@ -17,7 +17,8 @@ use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tokio::net::TcpListener;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep};
@@ -221,11 +222,38 @@ impl ServedRig {
     }
 }
 
-/// One connection after the other to the same instrument.
+/// One connection after the other to the same instrument. Its own side stays open between them: it is not switched off when
+/// a client hangs up.
 async fn pump(listener: TcpListener, mut near: tokio::io::DuplexStream) {
-    while let Ok((mut peer, _)) = listener.accept().await {
-        // A connection that breaks is the client's affair; the instrument waits for the next one.
-        let _ = tokio::io::copy_bidirectional(&mut peer, &mut near).await;
+    while let Ok((peer, _)) = listener.accept().await {
+        if !carry(peer, &mut near).await {
+            return;
+        }
+    }
+}
+
+/// Carries bytes both ways until the client has gone; false when the instrument has.
+async fn carry(mut peer: TcpStream, near: &mut tokio::io::DuplexStream) -> bool {
+    let (mut said, mut answered) = ([0; 256], [0; 256]);
+    loop {
+        tokio::select! {
+            read = peer.read(&mut said) => match read {
+                Ok(0) | Err(_) => return true,
+                Ok(count) => {
+                    if near.write_all(&said[..count]).await.is_err() {
+                        return false;
+                    }
+                }
+            },
+            read = near.read(&mut answered) => match read {
+                Ok(0) | Err(_) => return false,
+                Ok(count) => {
+                    if peer.write_all(&answered[..count]).await.is_err() {
+                        return true;
+                    }
+                }
+            },
+        }
     }
 }
 
@@ -312,6 +340,30 @@ impl Drop for Link {
 #[cfg(all(test, unix))]
 mod tests {
     use super::*;
+
+    /// Real sockets on loopback: the instrument is there for the second client, too.
+    #[tokio::test]
+    async fn a_client_that_hangs_up_does_not_switch_the_instrument_off() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let at = listener.local_addr().unwrap();
+        let (near, mut far) = tokio::io::duplex(PIPE_BYTES);
+        tokio::spawn(pump(listener, near));
+        let instrument = tokio::spawn(async move {
+            let mut heard = [0; 4];
+            for _ in 0..2 {
+                far.read_exact(&mut heard).await.unwrap();
+                far.write_all(b"24.091").await.unwrap();
+            }
+        });
+        for _ in 0..2 {
+            let mut client = TcpStream::connect(at).await.unwrap();
+            client.write_all(b"ask?").await.unwrap();
+            let mut answer = [0; 6];
+            client.read_exact(&mut answer).await.unwrap();
+            assert_eq!(&answer, b"24.091");
+        }
+        instrument.await.unwrap();
+    }
 
     #[test]
     fn a_link_takes_the_place_of_a_dead_one_and_of_nothing_else() {
