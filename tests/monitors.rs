@@ -29,7 +29,10 @@ fn monitored() -> Preset {
         .with("rig.process.rail_pressure_pa", "2e7")
 }
 
-fn values(ran: &Ran) -> Vec<(Option<u32>, Vec<(String, f64)>)> {
+/// The cycle that process values belong to, and their names and values.
+type CycleValues = (Option<u32>, Vec<(String, f64)>);
+
+fn values(ran: &Ran) -> Vec<CycleValues> {
     let of = |record| match record {
         Record::ProcessValues { cycle, values, .. } => {
             Some((cycle, values.into_iter().map(|value| (value.name, value.value)).collect()))

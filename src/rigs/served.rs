@@ -200,7 +200,8 @@ impl ServedRig {
         match address.split_once(':') {
             None if address == SIMULATED => Ok(None),
             Some(("serial", path)) => {
-                let (far, near, name) = pseudo_terminal().map_err(|error| wrong(error.to_string()))?;
+                let Terminal { far, near, name } =
+                    pseudo_terminal().map_err(|error| wrong(error.to_string()))?;
                 self.tasks.push((HOLDER, tokio::spawn(hold(near))));
                 self.links.push(Link::make(Path::new(path), Path::new(&name)).map_err(wrong)?);
                 Ok(Some((far, format!("pseudo-terminal {name}"))))
@@ -257,15 +258,25 @@ async fn carry(mut peer: TcpStream, near: &mut tokio::io::DuplexStream) -> bool 
     }
 }
 
-/// A new pseudo-terminal: the instrument's end, the other end, which must be held, and its name.
+/// A pseudo-terminal.
+struct Terminal {
+    /// The instrument's end.
+    far: Box<dyn ByteStream>,
+    /// The client's end, which must be held.
+    near: Held,
+    /// The name of the client's end.
+    name: String,
+}
+
+/// A new pseudo-terminal.
 #[cfg(unix)]
-fn pseudo_terminal() -> Result<(Box<dyn ByteStream>, Held, String), Box<dyn std::error::Error>> {
+fn pseudo_terminal() -> Result<Terminal, Box<dyn std::error::Error>> {
     use rustix::fs::{Mode, OFlags};
     use tokio_serial::{SerialPort, SerialStream};
     let (far, near) = SerialStream::pair()?;
     let name = near.name().ok_or("the pseudo-terminal has no name")?;
     let held = rustix::fs::open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
-    Ok((Box::new(far), held, name))
+    Ok(Terminal { far: Box::new(far), near: held, name })
 }
 
 #[cfg(unix)]
@@ -275,7 +286,7 @@ type Held = std::os::fd::OwnedFd;
 type Held = ();
 
 #[cfg(not(unix))]
-fn pseudo_terminal() -> Result<(Box<dyn ByteStream>, Held, String), Box<dyn std::error::Error>> {
+fn pseudo_terminal() -> Result<Terminal, Box<dyn std::error::Error>> {
     Err("this system has no pseudo-terminals: use tcp:127.0.0.1:PORT".into())
 }
 
