@@ -120,7 +120,8 @@ fn settled_means_that_the_band_was_held() {
         let begins_s = now_s - config.soak.hold_s + config.soak.poll_s;
         let held: Vec<f64> =
             readings.iter().filter(|(t, _)| (begins_s..=now_s).contains(t)).map(|(_, k)| *k).collect();
-        assert!(held.len() > 50, "level {level}: {} readings", held.len());
+        // A reading is some exchanges of 20 ms and more: about 0.2 s besides the wait between two.
+        assert!(held.len() > 40, "level {level}: {} readings", held.len());
         let set_k = levels[level as usize];
         assert!(held.iter().all(|k| (k - set_k).abs() <= config.soak.band_k), "level {level}: {held:?}");
         checked += 1;

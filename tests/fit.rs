@@ -244,6 +244,7 @@ fn results_are_the_same_bytes_for_any_number_of_threads() {
             "dit.exr",
             "dit.npz",
             "preview_emissivity.png",
+            "preview_flags.png",
             "preview_sigma_temperature.png",
             "preview_temperature.png",
             "temperature_k.tif"

@@ -161,15 +161,15 @@ impl Engine<'_> {
                 }
                 Collected::Rejected { reason, frames } => {
                     *silent = if frames == 0 { *silent + 1 } else { 0 };
-                    self.reject(level, number, reason)?;
+                    let rejected = self.reject(level, number, reason);
                     if frames == 0 {
                         // A camera that is gone is silent, too: a few seconds before it counts as gone.
                         self.instruments.camera.check().await.map_err(camera_trouble)?;
                     }
-                    if *silent == SILENT_CYCLES_RESTART {
-                        return Ok(true);
-                    }
-                    if *silent >= SILENT_CYCLES_MAX {
+                    // Silence is the better reason where it has used the retakes up.
+                    let given_up =
+                        matches!(rejected, Err(Interrupt::Error(CampaignError::TooManyRetakes { .. })));
+                    if *silent >= SILENT_CYCLES_MAX || (given_up && *silent >= SILENT_CYCLES_RESTART) {
                         let running = self.instruments.trigger.running().await?;
                         let state = if running { "running" } else { "stopped" };
                         return Err(Interrupt::Error(CampaignError::NoFrames {
@@ -177,6 +177,10 @@ impl Engine<'_> {
                             cycles: *silent,
                             state,
                         }));
+                    }
+                    rejected?;
+                    if *silent == SILENT_CYCLES_RESTART {
+                        return Ok(true);
                     }
                 }
             }
