@@ -120,13 +120,6 @@ pub async fn serve(
             ours.note("monitor", &monitor.address, behind);
         }
     }
-    // What else asks a line of text is answered by the rig's sensors.
-    for monitor in config.monitors.iter().filter(|monitor| monitor.driver == "ascii_query") {
-        if let Some((stream, behind)) = ours.line("monitor", &monitor.address).await? {
-            ours.tasks.push(("monitor", simulate_sensors(rig, stream, config.campaign.seed, start)));
-            ours.note("monitor", &monitor.address, behind);
-        }
-    }
     if config.camera.address != SIMULATED {
         let address: Ipv4Addr = config.camera.address.parse().map_err(|_| {
             OpenError::Config(format!(
