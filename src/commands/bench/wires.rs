@@ -122,8 +122,8 @@ fn figure(name: &str, seconds: f64, error: f64, error_kind: &str, n: usize) -> F
 async fn exchanges(watch: &Watch<'_>) -> Result<Vec<Figure>, String> {
     use tokio_serial::{SerialPort, SerialStream};
     let (far, near) = SerialStream::pair().map_err(|error| error.to_string())?;
+    // Held to the end: a terminal that nobody has open hangs up, and its other side never forgets that.
     let address = format!("serial:{}", near.name().ok_or("the pseudo-terminal has no name")?);
-    drop(near);
     let behaviour = FlukeBehaviour { reply_delay_s: 0.0, ..FlukeBehaviour::fluke_4181() };
     let plate = Arc::new(Mutex::new(Plate::new(PlateModel::fluke_4181(296.0), 1)));
     let served = tokio::spawn(fluke_418x::serve(far, plate, behaviour, Instant::now()));
@@ -140,6 +140,7 @@ async fn exchanges(watch: &Watch<'_>) -> Result<Vec<Figure>, String> {
         wrong += usize::from(!answer.starts_with("FLUKE,"));
     }
     served.abort();
+    drop(near);
     times.sort_by(f64::total_cmp);
     let at = |part: usize| times[(times.len() - 1) * part / 100];
     Ok([(50, "median"), (99, "99 of 100 within")]
