@@ -4,27 +4,19 @@
 //! (backward form of the source function of RADMC-3D and SHDOM). The radiance from walls is estimated too, and plate,
 //! walls and medium are divided by their sum, so that a uniform enclosure stays uniform whatever the noise.
 
-use super::bricks::{Bricks, EDGE};
+use super::begin::{Members, members, start};
+use super::bricks::Bricks;
 use super::camera::Sights;
-use super::chamber::{ENDS, SIDES};
-use super::fine::{CELLS, Fine, is_occupied};
-use super::lens::disc;
-use super::paths::{FIRST_DIMENSIONS, MEDIUM, Memory, PLATE, WALLS, World};
-use super::sobol::{self, Coordinates, Sequence};
-use super::spectrum::{Spectrum, narrow, vectorised};
-use super::vector::{Vector, along};
+use super::chamber::SIDES;
+use super::fine::Fine;
+use super::flock::{Begin, Flock};
+use super::paths::{MEDIUM, Memory, PLATE, WALLS, World};
+use super::sobol::{self, Sequence};
+use super::spectrum::{One, Spectrum, vectorised};
 use rayon::prelude::*;
 
 /// Leaves of one parallel task: each leaf holds up to hundreds of paths.
 const TASK_LEAVES: usize = 64;
-
-/// Optical depth of a cell below which places in it are taken as uniform; bends the mean by less.
-const THIN: f64 = 1e-6;
-
-/// First of the two coordinates of a place in the aperture.
-const APERTURE_DIMENSION: usize = 400_000;
-
-const _: () = assert!(FIRST_DIMENSIONS == 7);
 
 /// The leaves of a medium.
 #[derive(Clone)]
@@ -121,53 +113,55 @@ impl<S: Spectrum> Cache<S> {
         } else {
             self.sides.chunks_mut(TASK_LEAVES).collect()
         };
+        let lone = world.scatter.lone();
+        let single = fine.single().zip(world.blocks.single()).map(|(fine, blocks)| {
+            (fine, World { blocks, scatter: &lone, plate: world.plate, chamber: world.chamber })
+        });
         let counted: Vec<[u64; 2]> = self
             .halves
             .par_chunks_mut(TASK_LEAVES)
             .zip(others.par_iter_mut().zip(&mut sides))
             .enumerate()
             .map(|(task, (halves, (others, sides)))| {
-                let mut memory = Memory::new();
-                let mut rows = vec![S::ZERO; world.rows()];
-                vectorised(
+                let leaves_from = task * TASK_LEAVES;
+                let width = world.rows();
+                let mut rows = vec![S::ZERO; 2 * halves.len() * width];
+                let begin = Beginnings {
+                    leaves,
+                    sights,
+                    starts: &starts,
+                    owner: &owner,
+                    names: &names,
+                    first: leaves_from,
+                };
+                let counted = vectorised(
                     #[inline(always)]
-                    || {
-                        for (i, halves) in halves.iter_mut().enumerate() {
-                            let leaf = task * TASK_LEAVES + i;
-                            let (from, to) = (starts[leaf], starts[leaf + 1]);
-                            if from == to {
-                                continue;
-                            }
-                            let cells = members(fine, leaves, owner[leaf], leaf);
-                            for (h, (half, name)) in halves.iter_mut().zip(&names).enumerate() {
-                                rows[..MEDIUM + 1].iter_mut().for_each(|row| *row = S::ZERO);
-                                let mut run = name.from(from);
-                                for _ in from..to {
-                                    start(fine, sights, world, &cells, &run.next(), &mut rows, &mut memory);
-                                }
-                                for (sum, row) in half.iter_mut().zip([PLATE, WALLS, MEDIUM]) {
-                                    *sum = sum.plus(rows[row]);
-                                }
-                                if let Some(sides) = sides.get_mut(i) {
-                                    // Paths begin inside the chamber: nothing ends outside but by rounding.
-                                    let ends = &mut rows[world.first_end()..][..ENDS];
-                                    for (sum, row) in sides[h].iter_mut().zip(&*ends) {
-                                        *sum = sum.plus(*row);
-                                    }
-                                    ends.fill(S::ZERO);
-                                }
-                            }
-                            for c in 0..extra {
-                                let to = &mut others[i * extra + c];
-                                *to = to.plus(rows[MEDIUM + 1 + c]);
-                                rows[MEDIUM + 1 + c] = S::ZERO;
-                            }
-                        }
+                    || match &single {
+                        Some((fine, world)) => together(&begin, fine, world, halves.len(), &mut rows),
+                        None => one_by_one(&begin, fine, world, halves.len(), &mut rows),
                     },
                 );
+                for (i, halves) in halves.iter_mut().enumerate() {
+                    for (h, half) in halves.iter_mut().enumerate() {
+                        let rows = &rows[(2 * i + h) * width..][..width];
+                        for (sum, row) in half.iter_mut().zip([PLATE, WALLS, MEDIUM]) {
+                            *sum = sum.plus(rows[row]);
+                        }
+                        for c in 0..extra {
+                            let to = &mut others[i * extra + c];
+                            *to = to.plus(rows[MEDIUM + 1 + c]);
+                        }
+                        if let Some(sides) = sides.get_mut(i) {
+                            // Paths begin inside the chamber: nothing ends outside but by rounding.
+                            for (sum, row) in sides[h].iter_mut().zip(&rows[world.first_end()..]) {
+                                *sum = sum.plus(*row);
+                            }
+                        }
+                    }
+                }
                 let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
                 progress((n * TASK_LEAVES) as f64 / count as f64);
-                [memory.scatterings, memory.blocks]
+                counted
             })
             .collect();
         for [scatterings, blocks] in counted {
@@ -190,108 +184,108 @@ pub(super) fn owners(leaves: &Leaves) -> Vec<u32> {
     owner
 }
 
-/// A leaf's occupied cells with the running sums of what they scatter.
-struct Members {
-    cells: Vec<(usize, [f64; 3], f32)>,
+/// Where the paths of a task begin.
+struct Beginnings<'a> {
+    leaves: &'a Leaves,
+    sights: &'a Sights,
+    /// Number of the first path of each leaf in its sequence, and one more.
+    starts: &'a [u32],
+    owner: &'a [u32],
+    /// The sequences of both halves.
+    names: &'a [Sequence; 2],
+    /// First leaf of the task.
+    first: usize,
 }
 
-fn members<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, owner: u32, leaf: usize) -> Members {
-    let b = leaves.occupied[owner as usize];
-    let (brick, base) = (leaves.bricks.list[b], leaves.bricks.at(b).map(|c| c * EDGE));
-    let first = owner as usize * CELLS;
-    let block = leaf - brick.first as usize;
-    let mask = (1 << brick.log) - 1;
-    let edge = EDGE >> brick.log;
-    let low = [block >> (2 * brick.log), block >> brick.log & mask, block & mask].map(|i| i * edge);
-    let mut cells = Vec::with_capacity(edge * edge * edge);
-    let mut sum = 0.0;
-    for x in low[0]..low[0] + edge {
-        for y in low[1]..low[1] + edge {
-            for z in low[2]..low[2] + edge {
-                let place = first + (x * EDGE + y) * EDGE + z;
-                if is_occupied(fine.slot[place]) {
-                    let [k, albedo] = fine.core[place];
-                    let scattering = k.times(albedo).sum();
-                    // A cell that does not scatter still gets a value, though nothing will be multiplied with it.
-                    sum += scattering.clamp(f32::MIN_POSITIVE, 1e30);
-                    cells.push((place, [x + base[0], y + base[1], z + base[2]].map(|c| c as f64), sum));
+/// The paths of some leaves one after the other; scatterings and blocks of all.
+#[inline(always)]
+fn one_by_one<S: Spectrum>(
+    begin: &Beginnings<'_>,
+    fine: &Fine<S>,
+    world: &World<'_, S>,
+    leaves: usize,
+    rows: &mut [S],
+) -> [u64; 2] {
+    let mut memory = Memory::new();
+    let width = world.rows();
+    for i in 0..leaves {
+        let leaf = begin.first + i;
+        let (from, to) = (begin.starts[leaf], begin.starts[leaf + 1]);
+        if from == to {
+            continue;
+        }
+        let members = members(fine, begin.leaves, begin.owner[leaf], leaf);
+        for (h, name) in begin.names.iter().enumerate() {
+            let rows = &mut rows[(2 * i + h) * width..][..width];
+            let mut run = name.from(from);
+            for _ in from..to {
+                let at = run.next();
+                if let Some((place, direction, weight)) = start(fine, begin.sights, &members, &at) {
+                    world.scattered(&at, place, direction, weight, rows, &mut memory);
                 }
             }
         }
     }
-    Members { cells }
+    [memory.scatterings, memory.blocks]
 }
 
-/// One path from a leaf.
+/// The same for one group, many paths at once.
 #[inline(always)]
-fn start<S: Spectrum>(
-    fine: &Fine<S>,
-    sights: &Sights,
-    world: &World<'_, S>,
-    members: &Members,
-    at: &Coordinates,
+fn together<S: Spectrum>(
+    begin: &Beginnings<'_>,
+    fine: &Fine<One>,
+    world: &World<'_, One>,
+    leaves: usize,
     rows: &mut [S],
-    memory: &mut Memory<S>,
-) {
-    let cells = &members.cells;
-    let Some(last) = cells.last() else { return };
-    let wanted = narrow(at.get(2)) * last.2;
-    let (cell, corner, _) = cells[cells.partition_point(|c| c.2 <= wanted).min(cells.len() - 1)];
-    let place = fine.bricks.point([corner[0] + at.get(3), corner[1] + at.get(4), corner[2] + at.get(5)]);
-    let (direction, distance) = if sights.has_lens() {
-        // The mean over the aperture: what sights through one place differ by is left to the straight part.
-        sights.towards_through(place, disc(at.get(APERTURE_DIMENSION), at.get(APERTURE_DIMENSION + 1)))
-    } else {
-        sights.towards(place)
-    };
-    if distance > 0.0 {
-        let (place, weight) = seen_place(fine, cell, corner, place, direction);
-        world.scattered(at, place, direction, weight, rows, memory);
+) -> [u64; 2] {
+    let mut flock = Flock::new();
+    let mut sums = vec![0.0_f32; rows.len()];
+    let (mut i, mut h, mut left) = (0, 1, 0_u32);
+    let mut now = Members::NONE;
+    let mut run = begin.names[0].from(0);
+    flock.run(
+        world,
+        #[inline(always)]
+        || {
+            loop {
+                while left == 0 {
+                    // The second half of a leaf's paths, or the next leaf that has any.
+                    if h == 0 {
+                        h = 1;
+                    } else {
+                        while i < leaves && begin.starts[begin.first + i] == begin.starts[begin.first + i + 1]
+                        {
+                            i += 1;
+                        }
+                        if i == leaves {
+                            return None;
+                        }
+                        h = 0;
+                        now = members(fine, begin.leaves, begin.owner[begin.first + i], begin.first + i);
+                        i += 1;
+                    }
+                    let (from, to) = (begin.starts[begin.first + i - 1], begin.starts[begin.first + i]);
+                    run = begin.names[h].from(from);
+                    left = to - from;
+                }
+                left -= 1;
+                let at = run.next();
+                if let Some((origin, direction, weight)) = start(fine, begin.sights, &now, &at) {
+                    let direction = world.turned(&at, direction);
+                    return Some(Begin {
+                        at,
+                        origin,
+                        direction,
+                        weight: weight.get(0),
+                        set: 2 * (i - 1) + h,
+                    });
+                }
+            }
+        },
+        &mut sums,
+    );
+    for (row, sum) in rows.iter_mut().zip(sums) {
+        *row = S::splat(sum);
     }
-}
-
-/// Moves a uniform place in a cell along its sight to where the camera sees the cell scatter: exponentially towards the
-/// near side, with the groups' weights against the mean. This makes the mean over samples the very mean that the
-/// gather needs, however the source function falls off inside an opaque cell.
-#[inline(always)]
-fn seen_place<S: Spectrum>(
-    fine: &Fine<S>,
-    cell: usize,
-    corner: Vector,
-    start: Vector,
-    direction: Vector,
-) -> (Vector, S) {
-    let low = fine.bricks.point(corner);
-    let high = fine.bricks.point([corner[0] + 1.0, corner[1] + 1.0, corner[2] + 1.0]);
-    let (mut before, mut behind) = (f64::NEG_INFINITY, f64::INFINITY);
-    for a in 0..3 {
-        if direction[a].abs() > 1e-100 {
-            let inverse = 1.0 / direction[a];
-            let (t0, t1) = ((low[a] - start[a]) * inverse, (high[a] - start[a]) * inverse);
-            before = before.max(t0.min(t1));
-            behind = behind.min(t0.max(t1));
-        }
-    }
-    let chord = behind - before;
-    let k = f64::from(fine.core[cell][0].sum()) / fine.groups as f64;
-    let depth = k * chord;
-    if depth.is_nan() || depth < THIN {
-        return (start, S::splat(1.0));
-    }
-    let open = -(-depth).exp_m1();
-    let fraction = (-before / chord).clamp(0.0, 1.0);
-    let place = (-(-fraction * open).ln_1p() / k).min(chord);
-    let share = narrow(open / depth);
-    let weight = if S::WIDTH == 1 {
-        S::splat(share)
-    } else {
-        // e^((k̄ − k) s) for each group, kept finite.
-        let mut weight = S::ZERO;
-        for g in 0..fine.groups {
-            let stretch = (narrow(k) - fine.core[cell][0].get(g)) * narrow(place);
-            weight.set(g, share * stretch.clamp(-20.0, 20.0).exp());
-        }
-        weight
-    };
-    (along(start, before + place, direction), weight)
+    [flock.scatterings, flock.visited]
 }

@@ -6,8 +6,9 @@ use super::fine::Fine;
 use super::gather::{Field, Light, Sight};
 use super::image::{Job, Stats, tell};
 use super::interpolation::{PIXEL_MAX, Stencil, estimates, is_first};
+use super::lanes::LANES;
 use super::operator::Operator;
-use super::packet::{LANES, Packet};
+use super::packet::Packet;
 use super::pieces::Pieces;
 use super::pixels::{Frame, Refinement, in_tiles, sub_sight, sub_sights};
 use super::reconstruct::ROWS;
@@ -64,7 +65,7 @@ impl Job<'_> {
         let mut taken = Taken::new(fine.groups, fine.channels, candidates.len());
         let jobs: Vec<(usize, usize)> = first.iter().map(|&i| (i, 1)).collect();
         self.take(&field, &plate_seen, candidates, &jobs, &mut taken);
-        // Where the image bends from pixel to pixel, one sight does not give the mean; where it does not, none is needed.
+        // Where one sight does not give the mean; where it does not, none is needed.
         let mut shown: Vec<[f32; ROWS]> = plate_seen.iter().map(|&seen| [seen, 0.0]).collect();
         for &i in &first {
             shown[candidates[i] as usize] = taken.summaries[i].shown;

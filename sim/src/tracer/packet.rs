@@ -9,34 +9,15 @@
 use super::bricks::{Brick, EDGE, EDGE_LOG, NONE};
 use super::fine::Fine;
 use super::gather::{OPAQUE, Sight};
+use super::lanes::{Floats, Ints, LANES, NEVER, NO_INTS, STILL, ZEROS, larger, smaller, whole};
 use super::pieces::Pieces;
 use super::plate::Plate;
 use super::reconstruct::ROWS;
 use super::spectrum::{One, Spectrum, narrow, split};
 use super::vector::{Vector, along};
 
-/// Sights of a packet.
-pub(super) const LANES: usize = 16;
-
 /// Steps between two rounds of light.
 const STEPS: usize = 8;
-
-/// Farther than any cell: where a sight never leaves a cell along an axis.
-const NEVER: f32 = 1e30;
-
-/// Smaller components of a direction in cells per metre count as none.
-const STILL: f64 = 1e-20;
-
-#[derive(Clone, Copy)]
-#[repr(align(64))]
-struct Floats([f32; LANES]);
-
-#[derive(Clone, Copy)]
-#[repr(align(64))]
-struct Ints([i32; LANES]);
-
-const ZEROS: Floats = Floats([0.0; LANES]);
-const NO_INTS: Ints = Ints([0; LANES]);
 
 /// The lanes, and what they collect.
 pub(super) struct Packet {
@@ -420,25 +401,6 @@ impl Packet {
     pub(super) fn clear(&mut self) {
         self.lanes = 0;
     }
-}
-
-/// The whole number below a number from 0 to 2²¹, or, of a whole number, perhaps the one before it: a conversion that
-/// need not look for overflow.
-#[inline(always)]
-#[expect(clippy::cast_possible_wrap, reason = "the bits of a positive number")]
-fn whole(x: f32) -> i32 {
-    // Adding 1.5·2²³ rounds to a whole number, which then stands in the low bits.
-    (larger(x, 0.0) - 0.5 + 12_582_912.0).to_bits() as i32 - 0x4b40_0000
-}
-
-#[inline(always)]
-fn smaller(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
-}
-
-#[inline(always)]
-fn larger(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]

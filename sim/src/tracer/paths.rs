@@ -17,21 +17,21 @@ use super::vector::{Vector, along, turn};
 pub(super) const FIRST_DIMENSIONS: usize = 7;
 
 /// Coordinates per further scattering: place, depth in the block, angle, azimuth. The group is hashed.
-const ORDER_DIMENSIONS: usize = 4;
+pub(super) const ORDER_DIMENSIONS: usize = 4;
 
 /// Roulette starts below this mean weight, which it restores.
-const ROULETTE_WEIGHT: f32 = 0.2;
+pub(super) const ROULETTE_WEIGHT: f32 = 0.2;
 
 /// A march stops when no group lets more than this through: the error that it admits.
-const OPAQUE: f32 = 1e-4;
+pub(super) const OPAQUE: f32 = 1e-4;
 
 /// Scatterings after which a path is cut; with roulette, fewer than one in 10^5 paths of albedo 0.99 get there.
-const ORDERS_MAX: usize = 512;
+pub(super) const ORDERS_MAX: usize = 512;
 
 /// First coordinates of roulette, of the choice of the group, and of the block whose emission stands for a segment's.
-const ROULETTE_DIMENSION: usize = 100_000;
+pub(super) const ROULETTE_DIMENSION: usize = 100_000;
 const GROUP_DIMENSION: usize = 200_000;
-const EMISSION_DIMENSION: usize = 300_000;
+pub(super) const EMISSION_DIMENSION: usize = 300_000;
 
 /// Rows of scores in front of the channels: plate, walls.
 pub(super) const PLATE: usize = 0;
@@ -98,10 +98,20 @@ impl<S: Spectrum> World<'_, S> {
     ) {
         let (cosine, share) = self.scatter.sample(at.get(0), at.get(6));
         let direction = turned(direction, cosine, at.get(1));
-        self.follow(at, origin, direction, weight.times(share), rows, memory);
+        let weight = weight.times(share);
+        let unit = weight.sum() / narrow(real(self.blocks.groups));
+        self.follow(at, origin, direction, weight, Some(unit), rows, memory);
     }
 
-    /// Follows one path from `origin` along `direction`.
+    /// The direction after a path's first scattering, of a lone group.
+    #[inline(always)]
+    pub(super) fn turned(&self, at: &Coordinates, direction: Vector) -> Vector {
+        let (cosine, _) = self.scatter.sample(at.get(0), at.get(6));
+        turned(direction, cosine, at.get(1))
+    }
+
+    /// Follows one path from `origin` along `direction`. Roulette is played against `unit`; without one, against what is
+    /// scattered first: a faint share of a sight is followed like any other.
     #[inline(always)]
     pub(super) fn follow(
         &self,
@@ -109,12 +119,12 @@ impl<S: Spectrum> World<'_, S> {
         mut origin: Vector,
         mut direction: Vector,
         mut weight: S,
+        unit: Option<f32>,
         rows: &mut [S],
         memory: &mut Memory<S>,
     ) {
         let per_group = 1.0 / narrow(real(self.blocks.groups));
-        // Roulette is played for what was scattered first: a faint share of a sight is followed like any other.
-        let mut unit = 1.0_f32;
+        let mut unit = unit;
         let (mut plate_row, mut walls_row, mut medium_row) = (S::ZERO, S::ZERO, S::ZERO);
         for order in 0..ORDERS_MAX {
             let dimension = FIRST_DIMENSIONS + ORDER_DIMENSIONS * order;
@@ -158,11 +168,10 @@ impl<S: Spectrum> World<'_, S> {
             }
             let mean = scattered * per_group;
             let mut scale = 1.0;
-            if order == 0 {
-                unit = mean.min(1.0);
-            } else if mean < ROULETTE_WEIGHT * unit {
-                scale = ROULETTE_WEIGHT * unit / mean;
-                if narrow(at.get(ROULETTE_DIMENSION + order)) * ROULETTE_WEIGHT * unit >= mean {
+            let least = ROULETTE_WEIGHT * *unit.get_or_insert(mean.min(1.0));
+            if mean < least {
+                scale = least / mean;
+                if narrow(at.get(ROULETTE_DIMENSION + order)) * least >= mean {
                     break;
                 }
             }
@@ -219,7 +228,7 @@ impl<S: Spectrum> World<'_, S> {
 
 /// A direction at a scattering angle, azimuth `turns` full turns.
 #[inline(always)]
-fn turned(direction: Vector, cosine: f64, turns: f64) -> Vector {
+pub(super) fn turned(direction: Vector, cosine: f64, turns: f64) -> Vector {
     let sine = ((1.0 - cosine) * (1.0 + cosine)).max(0.0).sqrt();
     turn(direction, cosine, sine, std::f64::consts::TAU * turns)
 }

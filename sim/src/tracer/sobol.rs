@@ -147,13 +147,18 @@ impl Coordinates {
     /// Coordinate `dimension`, strictly between 0 and 1.
     #[inline(always)]
     pub(super) fn get(&self, dimension: usize) -> f64 {
-        let bits = if dimension < SOBOL_DIMENSIONS {
+        (f64::from(self.bits(dimension)) + 0.5) * (1.0 / 4_294_967_296.0)
+    }
+
+    /// The bits of coordinate `dimension`.
+    #[inline(always)]
+    pub(super) fn bits(&self, dimension: usize) -> u32 {
+        if dimension < SOBOL_DIMENSIONS {
             self.bits[dimension]
         } else {
             #[expect(clippy::cast_possible_truncation, reason = "dimensions are counted in thousands")]
             beyond(key(self.seed, dimension as u32), self.index)
-        };
-        (f64::from(bits) + 0.5) * (1.0 / 4_294_967_296.0)
+        }
     }
 }
 
