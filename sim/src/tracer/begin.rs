@@ -6,7 +6,7 @@ use super::camera::Sights;
 use super::fine::{CELLS, Fine, is_occupied};
 use super::lens::disc;
 use super::sobol::Coordinates;
-use super::spectrum::{Spectrum, narrow};
+use super::spectrum::{Spectrum, narrow, ones};
 use super::vector::{Vector, along};
 
 /// Optical depth of a cell below which places in it are taken as uniform; bends the mean by less.
@@ -104,7 +104,7 @@ fn seen_place<S: Spectrum>(
     let k = f64::from(fine.core[cell][0].sum()) / fine.groups as f64;
     let depth = k * chord;
     if depth.is_nan() || depth < THIN {
-        return (start, S::splat(1.0));
+        return (start, ones(fine.groups));
     }
     let open = -(-depth).exp_m1();
     let fraction = (-before / chord).clamp(0.0, 1.0);

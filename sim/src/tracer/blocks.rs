@@ -3,7 +3,7 @@
 use super::bricks::{Bricks, EDGE};
 use super::cuts::{Limits, cut};
 use super::fine::{CELLS, Fine, is_occupied};
-use super::spectrum::{One, Spectrum, narrow, vectorised};
+use super::spectrum::{Spectrum, narrow, vectorised};
 use rayon::prelude::*;
 
 /// Coefficients per block.
@@ -21,11 +21,6 @@ impl<S: Spectrum> Blocks<S> {
     /// Averages the cells of blocks within the limits.
     pub(super) fn new(fine: &Fine<S>, limits: Limits) -> Self {
         Self::of(fine, cut(fine, limits))
-    }
-
-    /// Itself, if it holds a single group.
-    pub(super) fn single(&self) -> Option<&Blocks<One>> {
-        (self as &dyn std::any::Any).downcast_ref()
     }
 
     /// The cells themselves.

@@ -10,9 +10,9 @@ use super::camera::Sights;
 use super::chamber::SIDES;
 use super::fine::Fine;
 use super::flock::{Begin, Flock};
-use super::paths::{MEDIUM, Memory, PLATE, WALLS, World};
+use super::paths::{MEDIUM, PLATE, WALLS, World};
 use super::sobol::{self, Sequence};
-use super::spectrum::{One, Spectrum, vectorised};
+use super::spectrum::{Spectrum, vectorised};
 use rayon::prelude::*;
 
 /// Leaves of one parallel task: each leaf holds up to hundreds of paths.
@@ -113,10 +113,6 @@ impl<S: Spectrum> Cache<S> {
         } else {
             self.sides.chunks_mut(TASK_LEAVES).collect()
         };
-        let lone = world.scatter.lone();
-        let single = fine.single().zip(world.blocks.single()).map(|(fine, blocks)| {
-            (fine, World { blocks, scatter: &lone, plate: world.plate, chamber: world.chamber })
-        });
         let counted: Vec<[u64; 2]> = self
             .halves
             .par_chunks_mut(TASK_LEAVES)
@@ -136,10 +132,7 @@ impl<S: Spectrum> Cache<S> {
                 };
                 let counted = vectorised(
                     #[inline(always)]
-                    || match &single {
-                        Some((fine, world)) => together(&begin, fine, world, halves.len(), &mut rows),
-                        None => one_by_one(&begin, fine, world, halves.len(), &mut rows),
-                    },
+                    || follow(&begin, fine, world, halves.len(), &mut rows),
                 );
                 for (i, halves) in halves.iter_mut().enumerate() {
                     for (h, half) in halves.iter_mut().enumerate() {
@@ -197,49 +190,16 @@ struct Beginnings<'a> {
     first: usize,
 }
 
-/// The paths of some leaves one after the other; scatterings and blocks of all.
+/// Follows the paths of some leaves; scatterings and blocks of all.
 #[inline(always)]
-fn one_by_one<S: Spectrum>(
+fn follow<S: Spectrum>(
     begin: &Beginnings<'_>,
     fine: &Fine<S>,
     world: &World<'_, S>,
     leaves: usize,
     rows: &mut [S],
 ) -> [u64; 2] {
-    let mut memory = Memory::new();
-    let width = world.rows();
-    for i in 0..leaves {
-        let leaf = begin.first + i;
-        let (from, to) = (begin.starts[leaf], begin.starts[leaf + 1]);
-        if from == to {
-            continue;
-        }
-        let members = members(fine, begin.leaves, begin.owner[leaf], leaf);
-        for (h, name) in begin.names.iter().enumerate() {
-            let rows = &mut rows[(2 * i + h) * width..][..width];
-            let mut run = name.from(from);
-            for _ in from..to {
-                let at = run.next();
-                if let Some((place, direction, weight)) = start(fine, begin.sights, &members, &at) {
-                    world.scattered(&at, place, direction, weight, rows, &mut memory);
-                }
-            }
-        }
-    }
-    [memory.scatterings, memory.blocks]
-}
-
-/// The same for one group, many paths at once.
-#[inline(always)]
-fn together<S: Spectrum>(
-    begin: &Beginnings<'_>,
-    fine: &Fine<One>,
-    world: &World<'_, One>,
-    leaves: usize,
-    rows: &mut [S],
-) -> [u64; 2] {
     let mut flock = Flock::new();
-    let mut sums = vec![0.0_f32; rows.len()];
     let (mut i, mut h, mut left) = (0, 1, 0_u32);
     let mut now = Members::NONE;
     let mut run = begin.names[0].from(0);
@@ -271,21 +231,13 @@ fn together<S: Spectrum>(
                 left -= 1;
                 let at = run.next();
                 if let Some((origin, direction, weight)) = start(fine, begin.sights, &now, &at) {
-                    let direction = world.turned(&at, direction);
-                    return Some(Begin {
-                        at,
-                        origin,
-                        direction,
-                        weight: weight.get(0),
-                        set: 2 * (i - 1) + h,
-                    });
+                    let (direction, share) = world.turned(&at, direction);
+                    let weight = weight.times(share);
+                    return Some(Begin { at, origin, direction, weight, set: 2 * (i - 1) + h });
                 }
             }
         },
-        &mut sums,
+        rows,
     );
-    for (row, sum) in rows.iter_mut().zip(sums) {
-        *row = S::splat(sum);
-    }
     [flock.scatterings, flock.visited]
 }

@@ -3,12 +3,6 @@
 /// Rays of a packet.
 pub(super) const LANES: usize = 16;
 
-/// Farther than any cell: where a ray never leaves a cell along an axis.
-pub(super) const NEVER: f32 = 1e30;
-
-/// Smaller components of a direction in cells per metre count as none.
-pub(super) const STILL: f64 = 1e-20;
-
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 pub(super) struct Floats(pub(super) [f32; LANES]);

@@ -49,3 +49,4 @@ mod spectrum;
 mod spread;
 mod vector;
 mod visibility;
+mod walk;

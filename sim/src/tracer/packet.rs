@@ -1,38 +1,25 @@
-//! Sixteen sights at once through a medium of one spectral group (packet traversal, Wald et al., Computer Graphics
-//! Forum 20, 153, 2001).
+//! Sixteen sights at once through a medium of one spectral group, what can be computed side by side being so.
 //!
-//! Every lane steps from cell to cell on its own, and over an empty brick in one step; what can be computed side by side
-//! is. In-scattered light is linear inside each piece, so a sight needs only the sums of weight · (1, x, y, z) times the
-//! coefficients of the pieces, which are put together when it is complete. Positions are f32: the length inside a cell
-//! errs by up to 2⁻²⁴ of the cells along the box, 3e-5 of a cell for 512 of them.
+//! In-scattered light is linear inside each piece, so a sight needs only the sums of weight · (1, x, y, z) times the
+//! coefficients of the pieces, which are put together when it is complete.
 
-use super::bricks::{Brick, EDGE, EDGE_LOG, NONE};
+use super::bricks::{Brick, EDGE, EDGE_LOG};
 use super::fine::Fine;
 use super::gather::{OPAQUE, Sight};
-use super::lanes::{Floats, Ints, LANES, NEVER, NO_INTS, STILL, ZEROS, larger, smaller, whole};
+use super::lanes::{Floats, Ints, LANES, NO_INTS, ZEROS};
 use super::pieces::Pieces;
 use super::plate::Plate;
 use super::reconstruct::ROWS;
-use super::spectrum::{One, Spectrum, narrow, split};
-use super::vector::{Vector, along};
+use super::spectrum::{One, Spectrum, split};
+use super::vector::Vector;
+use super::walk::{NOWHERE, Step, Walk};
 
 /// Steps between two rounds of light.
 const STEPS: usize = 8;
 
 /// The lanes, and what they collect.
 pub(super) struct Packet {
-    /// Entry into the box in cells from its lower corner, and cells per metre.
-    entry: [Floats; 3],
-    slope: [Floats; 3],
-    /// Metres per cell with the sign of the direction, and what is added where it stands still.
-    inverse: [Floats; 3],
-    still: [Floats; 3],
-    /// 1 where the sight goes to higher cells.
-    upward: [Ints; 3],
-    cell: [Ints; 3],
-    /// Where the sight is and where it ends, in metres from its entry.
-    at: Floats,
-    end: Floats,
+    walk: Walk,
     through: Floats,
     /// Emission of channel 0 along the straight sight.
     own: Floats,
@@ -60,14 +47,7 @@ impl Packet {
     /// No lanes yet.
     pub(super) fn new(channels: usize) -> Self {
         Self {
-            entry: [ZEROS; 3],
-            slope: [ZEROS; 3],
-            inverse: [ZEROS; 3],
-            still: [ZEROS; 3],
-            upward: [NO_INTS; 3],
-            cell: [NO_INTS; 3],
-            at: ZEROS,
-            end: ZEROS,
+            walk: Walk::new(),
             through: ZEROS,
             own: ZEROS,
             cells: NO_INTS,
@@ -95,33 +75,17 @@ impl Packet {
 
     /// Adds a sight from `origin` along the unit vector `direction`.
     #[inline(always)]
-    #[expect(clippy::cast_possible_truncation, reason = "clamped to the box, whose cells fit into i32")]
     pub(super) fn push(
         &mut self,
         fine: &Fine<One>,
         plate: Option<&Plate>,
-        (origin, direction): (Vector, Vector),
+        ray: (Vector, Vector),
         share: f32,
         errors: bool,
     ) {
         let l = self.lanes;
-        let bricks = &fine.bricks;
-        let hit = plate.and_then(|p| p.hit(origin, direction));
-        let (start, end) = bricks.clip(origin, direction, hit.unwrap_or(f64::INFINITY)).unwrap_or((0.0, 0.0));
-        let entry = bricks.units(along(origin, start, direction));
-        for a in 0..3 {
-            let slope = direction[a] / bricks.size[a];
-            let moves = slope.abs() > STILL;
-            self.entry[a].0[l] = narrow(entry[a]);
-            self.slope[a].0[l] = narrow(slope);
-            self.inverse[a].0[l] = if moves { narrow(1.0 / slope) } else { 0.0 };
-            self.still[a].0[l] = if moves { 0.0 } else { NEVER };
-            self.upward[a].0[l] = i32::from(slope > 0.0);
-            let last = bricks.cells[a] - 1;
-            self.cell[a].0[l] = entry[a].clamp(0.0, count(last)) as i32;
-        }
-        self.at.0[l] = 0.0;
-        self.end.0[l] = narrow(end - start);
+        let hit = plate.and_then(|p| p.hit(ray.0, ray.1));
+        self.walk.send(&fine.bricks, l, ray, hit.unwrap_or(f64::INFINITY));
         self.through.0[l] = share;
         self.own.0[l] = 0.0;
         self.cells.0[l] = 0;
@@ -138,24 +102,17 @@ impl Packet {
     #[inline(always)]
     fn follow(&mut self, fine: &Fine<One>, cuts: &[Brick], mut each: impl FnMut(&mut Self, usize)) {
         for l in self.lanes..LANES {
-            // Idle lanes stand in a cell of the box and never move.
-            for a in 0..3 {
-                self.cell[a].0[l] = 0;
-            }
-            (self.at.0[l], self.end.0[l], self.through.0[l]) = (0.0, 0.0, 0.0);
+            self.walk.stop(l);
+            self.through.0[l] = 0.0;
             self.errors[l] = false;
         }
-        // Every step changes a cell; rounding may turn it back once.
-        let most = 2 * fine.bricks.cells.iter().sum::<usize>() + STEPS;
-        let mut step = 0;
         let mut going = true;
-        while going && step < most {
+        while going {
             let mut kept = 0;
             while kept < STEPS && going {
                 going = self.step(fine, cuts, kept);
                 kept += 1;
             }
-            step += kept;
             each(self, kept);
         }
     }
@@ -213,62 +170,27 @@ impl Packet {
         clippy::cast_possible_truncation,
         clippy::cast_possible_wrap,
         clippy::cast_sign_loss,
-        clippy::cast_precision_loss,
         reason = "cells stay inside the box, whose bricks, cells and places fit into 31 bits"
     )]
     fn step(&mut self, fine: &Fine<One>, cuts: &[Brick], kept: usize) -> bool {
-        let bricks = &fine.bricks;
-        let [_, ny, nz] = bricks.count.map(|n| n as i32);
-        let last = bricks.cells.map(|n| n as i32 - 1);
-        let low = EDGE as i32 - 1;
-        let [cx, cy, cz] = self.cell;
-        let (mut brick, mut local) = (NO_INTS, NO_INTS);
-        for l in 0..LANES {
-            let [x, y, z] = [cx.0[l], cy.0[l], cz.0[l]];
-            brick.0[l] = ((x >> EDGE_LOG) * ny + (y >> EDGE_LOG)) * nz + (z >> EDGE_LOG);
-            local.0[l] = (x & low) << (2 * EDGE_LOG) | (y & low) << EDGE_LOG | (z & low);
-        }
-        let (mut k, mut albedo, mut size) = (ZEROS, ZEROS, NO_INTS);
+        let step = self.walk.step::<true>(&fine.bricks);
+        let Step { brick, place, cell: [cx, cy, cz], start, exit, .. } = step;
+        let (mut k, mut albedo) = (ZEROS, ZEROS);
         let (mut first, mut down) = (NO_INTS, NO_INTS);
         for l in 0..LANES {
-            let b = brick.0[l] as usize;
-            let cells = bricks.list[b].first;
-            if cells == NONE {
-                size.0[l] = EDGE as i32;
-            } else {
-                let place = cells as usize + local.0[l] as usize;
-                let [here, scattering] = fine.core[place];
+            if place.0[l] != NOWHERE {
+                let [here, scattering] = fine.core[place.0[l] as usize];
                 k.0[l] = here.get(0);
                 albedo.0[l] = scattering.get(0);
-                size.0[l] = 1;
-                self.place[kept].0[l] = place as i32;
-                if let Some(cut) = cuts.get(b) {
+                if let Some(cut) = cuts.get(brick.0[l] as usize) {
                     first.0[l] = cut.first as i32;
                     down.0[l] = (EDGE_LOG - cut.log) as i32;
                 }
             }
         }
-        let mut next = [ZEROS; 3];
-        let mut base = [NO_INTS; 3];
-        for a in 0..3 {
-            for l in 0..LANES {
-                let from = self.cell[a].0[l] & -size.0[l];
-                base[a].0[l] = from;
-                let face = from + if self.upward[a].0[l] == 1 { size.0[l] } else { 0 };
-                next[a].0[l] =
-                    (face as f32 - self.entry[a].0[l]).mul_add(self.inverse[a].0[l], self.still[a].0[l]);
-            }
-        }
-        let mut leave = ZEROS;
-        let mut exit = ZEROS;
+        self.place[kept] = place;
         for l in 0..LANES {
-            let least = smaller(smaller(next[0].0[l], next[1].0[l]), next[2].0[l]);
-            leave.0[l] = least;
-            exit.0[l] = larger(smaller(least, self.end.0[l]), self.at.0[l]);
-        }
-        for l in 0..LANES {
-            let length = exit.0[l] - self.at.0[l];
-            let depth = k.0[l] * length;
+            let depth = k.0[l] * (exit.0[l] - start.0[l]);
             let (passed, stopped) = split(depth);
             let weight = self.through.0[l] * stopped;
             self.through.0[l] *= passed;
@@ -276,36 +198,17 @@ impl Packet {
             self.own.0[l] += weight - turned;
             self.weight[kept].0[l] = weight;
             self.turned[kept].0[l] = turned;
-            self.moment[kept].0[l] = turned * (0.5 * (exit.0[l] + self.at.0[l]));
+            self.moment[kept].0[l] = turned * (0.5 * (exit.0[l] + start.0[l]));
             self.cells.0[l] += i32::from(depth > 0.0);
         }
+        let low = EDGE as i32 - 1;
         for l in 0..LANES {
             let shift = down.0[l];
             let log = EDGE_LOG as i32 - shift;
             let [x, y, z] = [cx.0[l], cy.0[l], cz.0[l]].map(|c| (c & low) >> shift);
             self.piece[kept].0[l] = first.0[l] + (((x << log) + y) << log) + z;
         }
-        let mut inside = Ints([1; LANES]);
-        for a in 0..3 {
-            for l in 0..LANES {
-                let (from, wide) = (base[a].0[l], size.0[l]);
-                let place = whole(exit.0[l].mul_add(self.slope[a].0[l], self.entry[a].0[l]));
-                let within = place.max(from).min(from + wide - 1);
-                let beyond = if self.upward[a].0[l] == 1 { from + wide } else { from - 1 };
-                let cell = if next[a].0[l] <= leave.0[l] { beyond } else { within };
-                let kept = cell.max(0).min(last[a]);
-                inside.0[l] &= i32::from(cell == kept);
-                self.cell[a].0[l] = kept;
-            }
-        }
-        let mut going = 0;
-        for l in 0..LANES {
-            self.at.0[l] = exit.0[l];
-            let on = inside.0[l] == 1 && exit.0[l] < self.end.0[l] && self.through.0[l] > OPAQUE;
-            self.end.0[l] = if on { self.end.0[l] } else { exit.0[l] };
-            going |= i32::from(on);
-        }
-        going == 1
+        self.walk.settle(&step, |l| self.through.0[l] > OPAQUE) > 0
     }
 
     /// What is scattered into the sights over the last steps.
@@ -374,8 +277,8 @@ impl Packet {
                 let [sum, moment] = self.sums[lane * rows + row];
                 let mut all = sum[0];
                 for a in 0..3 {
-                    let from = self.entry[a].0[lane] - pieces.middle[a];
-                    all += sum[1 + a].mul_add(from, moment[1 + a] * self.slope[a].0[lane]);
+                    let from = self.walk.entry[a].0[lane] - pieces.middle[a];
+                    all += sum[1 + a].mul_add(from, moment[1 + a] * self.walk.slope[a].0[lane]);
                 }
                 One::splat(all.max(0.0))
             };
@@ -401,9 +304,4 @@ impl Packet {
     pub(super) fn clear(&mut self) {
         self.lanes = 0;
     }
-}
-
-#[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
-fn count(n: usize) -> f64 {
-    n as f64
 }

@@ -30,8 +30,8 @@ pub(super) const ORDERS_MAX: usize = 512;
 
 /// First coordinates of roulette, of the choice of the group, and of the block whose emission stands for a segment's.
 pub(super) const ROULETTE_DIMENSION: usize = 100_000;
-const GROUP_DIMENSION: usize = 200_000;
-pub(super) const EMISSION_DIMENSION: usize = 300_000;
+pub(super) const GROUP_DIMENSION: usize = 200_000;
+const EMISSION_DIMENSION: usize = 300_000;
 
 /// Rows of scores in front of the channels: plate, walls.
 pub(super) const PLATE: usize = 0;
@@ -84,30 +84,11 @@ impl<S: Spectrum> World<'_, S> {
         MEDIUM + self.blocks.channels
     }
 
-    /// Follows one path from a scattering at `origin` seen along `direction` with `weight`; adds to `rows` (plate, walls,
-    /// channels, ends) what it collects.
+    /// The direction after a path's first scattering, and each group's weight.
     #[inline(always)]
-    pub(super) fn scattered(
-        &self,
-        at: &Coordinates,
-        origin: Vector,
-        direction: Vector,
-        weight: S,
-        rows: &mut [S],
-        memory: &mut Memory<S>,
-    ) {
+    pub(super) fn turned(&self, at: &Coordinates, direction: Vector) -> (Vector, S) {
         let (cosine, share) = self.scatter.sample(at.get(0), at.get(6));
-        let direction = turned(direction, cosine, at.get(1));
-        let weight = weight.times(share);
-        let unit = weight.sum() / narrow(real(self.blocks.groups));
-        self.follow(at, origin, direction, weight, Some(unit), rows, memory);
-    }
-
-    /// The direction after a path's first scattering, of a lone group.
-    #[inline(always)]
-    pub(super) fn turned(&self, at: &Coordinates, direction: Vector) -> Vector {
-        let (cosine, _) = self.scatter.sample(at.get(0), at.get(6));
-        turned(direction, cosine, at.get(1))
+        (turned(direction, cosine, at.get(1)), share)
     }
 
     /// Follows one path from `origin` along `direction`. Roulette is played against `unit`; without one, against what is
@@ -116,8 +97,7 @@ impl<S: Spectrum> World<'_, S> {
     pub(super) fn follow(
         &self,
         at: &Coordinates,
-        mut origin: Vector,
-        mut direction: Vector,
+        (mut origin, mut direction): (Vector, Vector),
         mut weight: S,
         unit: Option<f32>,
         rows: &mut [S],

@@ -189,12 +189,12 @@ fn one<S: Spectrum>(
                     let plate = world.plate.map(|p| p.moved(back));
                     let world = World { plate: plate.as_ref(), ..*world };
                     let ((origin, direction), one) = (sub.ray, S::splat(1.0));
-                    world.follow(&at, along(origin, 1.0, back), direction, one, None, rows, &mut memory);
+                    world.follow(&at, (along(origin, 1.0, back), direction), one, None, rows, &mut memory);
                 } else {
                     let jitter = if centre { [0.5; 2] } else { [at.get(4), at.get(5)] };
                     let (origin, direction) =
                         frame.sights.ray(row as f64 + jitter[0], column as f64 + jitter[1]);
-                    world.follow(&at, origin, direction, S::splat(1.0), None, rows, &mut memory);
+                    world.follow(&at, (origin, direction), S::splat(1.0), None, rows, &mut memory);
                 }
                 for (k, row) in rows.iter().enumerate() {
                     for g in 0..groups {

@@ -4,7 +4,7 @@
 //! heuristic (E. Veach, 1997), p_g over the mean of all p. A lone group is sampled by its own phase function, exactly,
 //! with weight 1.
 
-use super::spectrum::{One, Spectrum, narrow};
+use super::spectrum::{Spectrum, narrow};
 use crate::light::phase::PhaseFunction;
 
 /// Bins per octave of 1 − cos θ, as a power of two.
@@ -45,11 +45,6 @@ impl<'a, S: Spectrum> Scatter<'a, S> {
             })
             .collect();
         Self { phases, weight }
-    }
-
-    /// The same for a lone group.
-    pub(super) fn lone(&self) -> Scatter<'a, One> {
-        Scatter { phases: self.phases, weight: Vec::new() }
     }
 
     /// Cosine of a scattering angle for `u` in (0, 1), from the group that `choice` in (0, 1) picks, and the weights.

@@ -117,6 +117,19 @@ impl Spectrum for One {
     }
 }
 
+/// One for every group, zero in the lanes beyond them.
+#[inline(always)]
+pub(super) fn ones<S: Spectrum>(groups: usize) -> S {
+    if S::WIDTH == 1 {
+        return S::splat(1.0);
+    }
+    let mut all = S::ZERO;
+    for g in 0..groups {
+        all.set(g, 1.0);
+    }
+    all
+}
+
 /// Eight groups.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(C, align(32))]
