@@ -36,8 +36,11 @@ impl Job<'_> {
                 squares[at[0] / ERROR_STRIDE * count[1] + at[1] / ERROR_STRIDE] = Sum { square, pixels: 1.0 };
             }
         }
-        let mean = squares.iter().fold(Sum::NONE, |all, one| all.plus(one));
-        let around = around(&squares, count);
+        let mean = Sum::of(squares.iter());
+        // A lonely pixel between those with errors is like all of them.
+        let squared = around(&squares, count).map(|sums| -> Vec<[f32; ROWS]> {
+            sums.iter().map(|sum| if sum.pixels > 0.0 { sum.squared() } else { mean.squared() }).collect()
+        });
         let spread: Vec<[f32; ROWS]> = operator
             .pixels
             .par_iter()
@@ -47,13 +50,10 @@ impl Job<'_> {
                 let at = raster.at(pixel);
                 let place = at[0] / ERROR_STRIDE * count[1] + at[1] / ERROR_STRIDE;
                 let between = at.map(|i| usize::from(!i.is_multiple_of(ERROR_STRIDE)));
-                let near = &around[2 * between[0] + between[1]][place];
-                // A lonely pixel between those with errors is like all of them.
-                let Sum { square: [noise, bias], pixels } = if near.pixels > 0.0 { *near } else { mean };
-                let n = 1.0 / pixels.max(1.0);
+                let near = squared[2 * between[0] + between[1]][place];
                 [0, 1].map(|k: usize| {
-                    let (noise, bias, area) = (n * noise[k], n * bias[k], refined[i].error[k]);
-                    (area * area + noise + pure_bias(noise, bias)).sqrt()
+                    let area = refined[i].error[k];
+                    (area * area + near[k]).sqrt()
                 })
             })
             .collect();
@@ -99,6 +99,19 @@ struct Sum {
 impl Sum {
     const NONE: Self = Self { square: [[0.0; ROWS]; 2], pixels: 0.0 };
 
+    /// Square of the error that they share.
+    fn squared(&self) -> [f32; ROWS] {
+        let n = 1.0 / self.pixels.max(1.0);
+        let [noise, bias] = self.square.map(|square| square.map(|s| n * s));
+        [0, 1].map(|k: usize| noise[k] + pure_bias(noise[k], bias[k]))
+    }
+
+    #[inline(always)]
+    fn of<'a>(all: impl Iterator<Item = &'a Self>) -> Self {
+        all.fold(Self::NONE, |all, one| all.plus(one))
+    }
+
+    #[inline(always)]
     fn plus(&self, other: &Self) -> Self {
         let square =
             [0, 1].map(|kind: usize| [0, 1].map(|k: usize| self.square[kind][k] + other.square[kind][k]));
@@ -111,16 +124,20 @@ impl Sum {
 fn around(squares: &[Sum], [rows, columns]: [usize; 2]) -> [Vec<Sum>; 4] {
     const REACH: usize = ERROR_REACH / ERROR_STRIDE;
     // From a place between two pixels with errors one less is in reach on its near side.
-    let sum = |of: &[Sum], step: usize, i: usize, n: usize, at: usize, between: usize| {
-        let (from, to) = (i.saturating_sub(REACH - between), (i + REACH + 1).min(n));
-        (from..to).fold(Sum::NONE, |all, j| all.plus(&of[at - i * step + j * step]))
-    };
+    let near = |i: usize, n: usize, between: usize| i.saturating_sub(REACH - between)..(i + REACH + 1).min(n);
     let across = [0, 1].map(|between| -> Vec<Sum> {
-        (0..rows * columns).map(|at| sum(squares, 1, at % columns, columns, at, between)).collect()
+        let row = |row: &[Sum]| -> Vec<Sum> {
+            (0..columns).map(|c| Sum::of(row[near(c, columns, between)].iter())).collect()
+        };
+        squares.chunks_exact(columns.max(1)).flat_map(row).collect()
     });
     [0, 1, 2, 3].map(|k: usize| {
         let of = &across[k % 2];
-        (0..rows * columns).map(|at| sum(of, columns, at / columns, rows, at, k / 2)).collect()
+        let row = |r: usize| {
+            let rows = near(r, rows, k / 2);
+            (0..columns).map(move |c| Sum::of(rows.clone().map(|r| &of[r * columns + c])))
+        };
+        (0..rows).flat_map(row).collect()
     })
 }
 

@@ -1,4 +1,4 @@
-//! Sixteen scattered paths at once through blocks.
+//! Many scattered paths at once through blocks.
 //!
 //! Paths go where they like, so that every lane has a ray of its own, stepping from block to block; what ends is scored and
 //! replaced by its continuation or by the next path as soon as a few lanes wait (wavefront: S. Laine et al., Megakernels

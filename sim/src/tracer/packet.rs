@@ -1,4 +1,4 @@
-//! Sixteen sights at once through a medium of one spectral group, what can be computed side by side being so.
+//! Many sights at once through a medium of one spectral group, what can be computed side by side being so.
 //!
 //! In-scattered light is linear inside each piece, so a sight needs only the sums of weight · (1, x, y, z) times the
 //! coefficients of the pieces, which are put together when it is complete.
@@ -35,8 +35,8 @@ pub(super) struct Packet {
     weight: [Floats; STEPS],
     turned: [Floats; STEPS],
     moment: [Floats; STEPS],
-    /// Σ turned · coefficients and Σ turned · at · coefficients, `[lane · rows + row]`.
-    sums: Vec<[[f32; 4]; 2]>,
+    /// Σ turned · coefficients and Σ turned · at · coefficients of two rows, `[lane · pairs + pair]`.
+    sums: Vec<[[f32; 8]; 2]>,
     /// Straight emission of the channels from 1 on, `[lane · (channels − 1) + channel − 1]`.
     direct: Vec<f32>,
     noise: [[f32; ROWS]; LANES],
@@ -60,7 +60,7 @@ impl Packet {
             weight: [ZEROS; STEPS],
             turned: [ZEROS; STEPS],
             moment: [ZEROS; STEPS],
-            sums: vec![[[0.0; 4]; 2]; LANES * (1 + channels)],
+            sums: vec![[[0.0; 8]; 2]; LANES * (1 + channels).div_ceil(2)],
             direct: vec![0.0; LANES * (channels - 1)],
             noise: [[0.0; ROWS]; LANES],
             bias: [[0.0; ROWS]; LANES],
@@ -120,7 +120,7 @@ impl Packet {
     /// Follows all sights and collects what they see.
     #[inline(always)]
     pub(super) fn run(&mut self, fine: &Fine<One>, pieces: Option<&Pieces>) {
-        self.sums.iter_mut().for_each(|s| *s = [[0.0; 4]; 2]);
+        self.sums.iter_mut().for_each(|s| *s = [[0.0; 8]; 2]);
         self.direct.iter_mut().for_each(|d| *d = 0.0);
         self.follow(
             fine,
@@ -215,19 +215,19 @@ impl Packet {
     #[inline(always)]
     #[expect(clippy::cast_sign_loss, reason = "pieces are counted from zero")]
     fn lit(&mut self, pieces: &Pieces, kept: usize) {
-        let rows = pieces.rows;
+        let pairs = pieces.pairs;
         for l in 0..self.lanes {
-            for row in 0..rows {
-                let [mut sum, mut moment] = self.sums[l * rows + row];
+            for pair in 0..pairs {
+                let [mut sum, mut moment] = self.sums[l * pairs + pair];
                 for s in 0..kept {
-                    let line = pieces.lines[self.piece[s].0[l] as usize * rows + row];
+                    let line = pieces.lines[self.piece[s].0[l] as usize * pairs + pair];
                     let (turned, at) = (self.turned[s].0[l], self.moment[s].0[l]);
-                    for i in 0..4 {
+                    for i in 0..8 {
                         sum[i] = line[i].mul_add(turned, sum[i]);
                         moment[i] = line[i].mul_add(at, moment[i]);
                     }
                 }
-                self.sums[l * rows + row] = [sum, moment];
+                self.sums[l * pairs + pair] = [sum, moment];
             }
             if self.errors[l] {
                 for s in 0..kept {
@@ -272,9 +272,9 @@ impl Packet {
             *to = to.plus(One::splat(self.direct[lane * extra + c]));
         }
         if let Some(pieces) = pieces {
-            let rows = pieces.rows;
             let value = |row: usize| {
-                let [sum, moment] = self.sums[lane * rows + row];
+                let [sum, moment] =
+                    self.sums[lane * pieces.pairs + row / 2].map(|pair| pair.as_chunks::<4>().0[row % 2]);
                 let mut all = sum[0];
                 for a in 0..3 {
                     let from = self.walk.entry[a].0[lane] - pieces.middle[a];

@@ -15,10 +15,10 @@ use rayon::prelude::*;
 pub(super) struct Pieces {
     /// The pieces of every brick of the box.
     pub(super) cuts: Vec<Brick>,
-    /// Plate, medium, and the channels from 1 on.
-    pub(super) rows: usize,
-    /// Value at `middle` and change per cell along x, y, z, `[piece · rows + row]`.
-    pub(super) lines: Vec<[f32; 4]>,
+    /// Half the number of rows (plate, medium, and the channels from 1 on), rounded up.
+    pub(super) pairs: usize,
+    /// Value at `middle` and change per cell along x, y, z of two rows, `[piece · pairs + pair]`.
+    pub(super) lines: Vec<[f32; 8]>,
     /// Noise and bias of the leaf, `[piece][noise, bias][row]`.
     pub(super) errors: Vec<[[f32; ROWS]; 2]>,
     /// Where values are given, in cells: near the middle of the box, against cancellation.
@@ -29,6 +29,7 @@ impl Pieces {
     /// Cuts the leaves.
     pub(super) fn new(fine: &Fine<One>, scattered: &Scattered<One>, leaves: &Leaves) -> Self {
         let rows = 1 + fine.channels;
+        let pairs = rows.div_ceil(2);
         let mut cuts = vec![Brick::EMPTY; fine.bricks.list.len()];
         let mut count = 0;
         let mut firsts = Vec::with_capacity(leaves.occupied.len());
@@ -39,12 +40,12 @@ impl Pieces {
             count += 1 << (3 * log);
         }
         let middle = fine.bricks.cells.map(|n| 0.5 * real(n));
-        let mut lines = vec![[0.0_f32; 4]; count as usize * rows];
+        let mut lines = vec![[0.0_f32; 8]; count as usize * pairs];
         let mut errors = vec![[[0.0_f32; ROWS]; 2]; count as usize];
         let mut jobs = Vec::with_capacity(leaves.occupied.len());
         let (mut lines_left, mut errors_left) = (lines.as_mut_slice(), errors.as_mut_slice());
         for &b in &leaves.occupied {
-            let (l, rest) = lines_left.split_at_mut(cuts[b].blocks() * rows);
+            let (l, rest) = lines_left.split_at_mut(cuts[b].blocks() * pairs);
             lines_left = rest;
             let (e, rest) = errors_left.split_at_mut(cuts[b].blocks());
             errors_left = rest;
@@ -57,7 +58,7 @@ impl Pieces {
             let edge = real(EDGE >> log);
             let corner = leaves.bricks.at(b).map(|c| real(c * EDGE));
             let mask = (1_usize << log) - 1;
-            for (piece, (lines, errors)) in lines.chunks_exact_mut(rows).zip(errors).enumerate() {
+            for (piece, (lines, errors)) in lines.chunks_exact_mut(pairs).zip(errors).enumerate() {
                 let at = [piece >> (2 * log), piece >> log & mask, piece & mask];
                 let [x, y, z] = at.map(|i| i >> per_leaf);
                 let leaf = leaf_cut.first as usize + (x << (2 * leaf_cut.log) | y << leaf_cut.log | z);
@@ -67,6 +68,7 @@ impl Pieces {
                 let offset = [0, 1, 2].map(|a: usize| narrow(here[a] - from_leaf[a]));
                 let place = [0, 1, 2].map(|a: usize| here[a] - middle[a]);
                 let leaf_edge = narrow(real(EDGE >> leaf_cut.log));
+                let lines = lines.as_flattened_mut().as_chunks_mut().0;
                 for (row, to) in lines[..ROWS].iter_mut().enumerate() {
                     *to = line(inside, row, offset, place, [narrow(edge), leaf_edge]);
                 }
@@ -77,7 +79,7 @@ impl Pieces {
                 *errors = [inside.noise.map(|v| v.get(0)), inside.bias.map(|v| v.get(0))];
             }
         });
-        Self { cuts, rows, lines, errors, middle: middle.map(narrow) }
+        Self { cuts, pairs, lines, errors, middle: middle.map(narrow) }
     }
 }
 

@@ -32,7 +32,7 @@ const RECUT: f64 = 1.1;
 /// Paths of the pilot: as many as bring the noise to twice the target where one path per image has a deviation of 0.5.
 const PILOT_DEVIATION: f64 = 0.25;
 
-const PILOT_MIN: f64 = 8192.0;
+const PILOT_MIN: f64 = 16_384.0;
 
 const PILOT_MAX: f64 = 1_048_576.0;
 

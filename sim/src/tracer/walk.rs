@@ -1,4 +1,4 @@
-//! Sixteen rays side by side, each stepping from block to block of a two-level grid on its own, and over an empty brick in
+//! Many rays side by side, each stepping from block to block of a two-level grid on its own, and over an empty brick in
 //! one step (packet traversal, Wald et al., Computer Graphics Forum 20, 153, 2001).
 //!
 //! Positions are f32 in cells: the length inside a cell errs by up to 2⁻²⁴ of the cells along the box, 3e-5 of a cell for
