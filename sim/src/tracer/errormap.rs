@@ -1,6 +1,5 @@
 //! The error map of an image: what is estimated for some pixels, averaged over those nearby.
 
-use super::exposure::Summary;
 use super::image::{Job, Stats, tell};
 use super::operator::Operator;
 use super::pixels::Refinement;
@@ -13,6 +12,20 @@ const ERROR_STRIDE: usize = 4;
 
 /// A multiple of it.
 const ERROR_REACH: usize = 8;
+
+/// What is known of a pixel besides its coefficients.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Summary {
+    /// Plate and medium, mean over the groups.
+    pub(super) shown: [f32; ROWS],
+    /// Noise and bias of plate and medium, single draws.
+    pub(super) errors: [[f32; ROWS]; 2],
+    /// The same of the wall that is known least.
+    pub(super) errors_ends: [f32; 2],
+    pub(super) met: bool,
+    pub(super) sights: u32,
+    pub(super) cells: u32,
+}
 
 impl Job<'_> {
     /// The half differences are single draws: their rms over nearby pixels is the error, to which that of the mean over

@@ -1,7 +1,7 @@
 //! The pixels of an image from the medium and its in-scattered light: one sight through each, more where the image bends.
 
 use super::ends;
-use super::errormap::with_errors;
+use super::errormap::{Summary, with_errors};
 use super::fine::Fine;
 use super::gather::{Field, Light, Sight};
 use super::image::{Job, Stats, tell};
@@ -26,20 +26,6 @@ const TASK_PIXELS: usize = 2048;
 /// Share of the target that the means over the pixels may err, rms; where nothing is scattered nothing else errs.
 pub(super) const PIXEL_SHARE: f32 = 0.5;
 const PIXEL_SHARE_ALONE: f32 = 0.8;
-
-/// What is known of a pixel besides its coefficients.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Summary {
-    /// Plate and medium, mean over the groups.
-    pub(super) shown: [f32; ROWS],
-    /// Noise and bias of plate and medium, single draws.
-    pub(super) errors: [[f32; ROWS]; 2],
-    /// The same of the wall that is known least.
-    pub(super) errors_ends: [f32; 2],
-    pub(super) met: bool,
-    pub(super) sights: u32,
-    pub(super) cells: u32,
-}
 
 impl Job<'_> {
     pub(super) fn gather<S: Spectrum>(

@@ -9,8 +9,9 @@
 use super::camera::PixelFilter;
 use super::chamber::ENDS;
 use super::ends;
+use super::errormap::Summary;
 use super::errormap::with_errors;
-use super::exposure::{PIXEL_SHARE, Summary, finish};
+use super::exposure::{PIXEL_SHARE, finish};
 use super::fine::Fine;
 use super::gather::{Field, Light, Sight};
 use super::image::{Job, Stats, tell};

@@ -4,11 +4,16 @@
 //! brought in line with its densities. Shot k is the one that `shot = k` in `[medium]` shows. Mean and standard deviation
 //! are summed up as the shots come: no two of them are in memory at once.
 
-use super::super::{CommandError, CommandResult};
+use super::collected::{Collected, collected, gridded, render_options};
+use super::columns::Views;
+use super::image::{Images, camera_of, plate_temperatures, write_exr};
 use super::pictures::{Picture, Scale, beside, kelvin_name};
-use super::{Args, Camera, Collected, IMAGE_TARGET, Images, Views};
+use super::report::mean;
+use super::{Args, IMAGE_TARGET, count};
+use crate::commands::{CommandError, CommandResult, print};
 use ditd_sim::scene::file::{MediumSource, Scene};
 use ditd_sim::scene::mirror::Mirror;
+use ditd_sim::tracer::camera::Camera;
 use ditd_sim::tracer::image::render_shots;
 use ditd_sim::tracer::operator::Operator;
 use std::fmt::Write as _;
@@ -75,13 +80,13 @@ pub(super) fn images(scenes: Vec<(f64, Scene)>, number: u32, args: &Args) -> Com
              [exposure] time_s, or leave it out",
         ));
     };
-    let temperatures_k = super::plate_temperatures(&mut scene, args)?;
-    let camera = super::camera_of(&scene)?;
+    let temperatures_k = plate_temperatures(&mut scene, args)?;
+    let camera = camera_of(&scene)?;
     let plate = scene.plate.as_ref().map(|p| p.shape.clone());
     let walls = scene.surroundings(&temperatures_k);
     let views = Views::new(&mut scene, &temperatures_k, args, walls)?;
-    let options = super::render_options(&scene, walls, args.target_error.unwrap_or(IMAGE_TARGET), args);
-    let (Some(medium), Some(law)) = (super::gridded(&scene), scene.shots.clone()) else {
+    let options = render_options(&scene, walls, args.target_error.unwrap_or(IMAGE_TARGET), args);
+    let (Some(medium), Some(law)) = (gridded(&scene), scene.shots.clone()) else {
         return Err(CommandError::usage("render: --shots: the spray has no cells. Check its time and size"));
     };
     let law = args.seed.map_or(law.clone(), |seed| law.with_seed(seed));
@@ -89,7 +94,7 @@ pub(super) fn images(scenes: Vec<(f64, Scene)>, number: u32, args: &Args) -> Com
     let mut outcome = Ok(());
     let mut take = |operator: Operator| {
         if outcome.is_ok() {
-            outcome = ensemble.take(&super::collected(&operator, walls));
+            outcome = ensemble.take(&collected(&operator, walls));
         }
     };
     let mut factors = (1..=u64::from(number)).map(|shot| law.factors(shot));
@@ -150,7 +155,7 @@ impl<'a> Ensemble<'a> {
         self.shots.push(Shot {
             sights: stat("sights"),
             paths: stat("paths"),
-            means: channels.iter().map(|(_, values)| super::mean(values)).collect(),
+            means: channels.iter().map(|(_, values)| mean(values)).collect(),
         });
         for ((_, moments), (_, values)) in self.channels.iter_mut().zip(&channels) {
             moments.add(values.iter().map(|&v| f64::from(v)));
@@ -210,7 +215,7 @@ impl<'a> Ensemble<'a> {
 }
 
 fn write(path: &Path, camera: &Camera, images: &Images) -> Result<(), CommandError> {
-    super::write_exr(path, camera, images)
+    write_exr(path, camera, images)
         .map_err(|e| CommandError::failure(format!("render: writing {}: {e}", path.display())))
 }
 
@@ -257,10 +262,10 @@ impl Moments {
 fn report(images: &Images, names: &[String], shots: &[Shot], json: bool) -> CommandResult {
     let sum = |of: fn(&Shot) -> f64| shots.iter().map(of).sum::<f64>();
     let mut all = images.stats.clone();
-    all.push(("shots".to_owned(), super::count(shots.len())));
+    all.push(("shots".to_owned(), count(shots.len())));
     all.push(("shots_sights".to_owned(), sum(|shot| shot.sights)));
     all.push(("shots_paths".to_owned(), sum(|shot| shot.paths)));
-    all.extend(images.channels.iter().map(|(name, values)| (format!("mean_{name}"), super::mean(values))));
+    all.extend(images.channels.iter().map(|(name, values)| (format!("mean_{name}"), mean(values))));
     let numbered = || (1..).zip(shots);
     if json {
         let mut map: serde_json::Map<String, serde_json::Value> =
@@ -276,7 +281,7 @@ fn report(images: &Images, names: &[String], shots: &[Shot], json: bool) -> Comm
             })
             .collect();
         map.insert("shot_list".to_owned(), list.into());
-        return super::super::print(&format!("{}\n", serde_json::Value::Object(map)));
+        return print(&format!("{}\n", serde_json::Value::Object(map)));
     }
     let mut text: String = all.iter().map(|(name, value)| format!("{name:24} {value}\n")).collect();
     let first = |shot: &Shot| {
@@ -285,7 +290,7 @@ fn report(images: &Images, names: &[String], shots: &[Shot], json: bool) -> Comm
     for (number, shot) in numbered() {
         let _ = writeln!(text, "{:24} {}", format!("shot_{number}: mean"), first(shot).join(", "));
     }
-    super::super::print(&text)
+    print(&text)
 }
 
 #[cfg(test)]
