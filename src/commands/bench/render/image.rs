@@ -3,7 +3,7 @@
 use super::super::{Figure, Watch};
 use super::curves::{Findings, Page, Sample, beside, line, log_log, marked, rms, sweep};
 use super::judge::{Judges, Scrutiny, Verdict, spread};
-use super::plumes::{Plumes, STANDARD, camera, plate};
+use super::plumes::{Plumes, STANDARD, STANDARD_FULL, camera, plate};
 use crate::report::plot::{Point, Series};
 use ditd_sim::tracer::error::TracerError;
 use ditd_sim::tracer::image::{RenderOptions, render_image};
@@ -19,6 +19,7 @@ const TARGET: f64 = 1e-3;
 
 /// Targets of the front.
 const TARGETS: [f64; 6] = [4e-2, 1e-2, 4e-3, 2e-3, 1e-3, 5e-4];
+const TARGETS_FULL: [f64; 3] = [4e-3, 2e-3, 1e-3];
 const TARGETS_STRAIGHT: [f64; 4] = [4e-3, 1e-3, 3e-4, 1e-4];
 const TARGETS_REFERENCE: [f64; 4] = [1e-2, 5e-3, 2.5e-3, 1.25e-3];
 
@@ -91,6 +92,23 @@ pub(super) fn targets(watch: &Watch<'_>, standard: &Standard) -> Result<Findings
         sheet: beside("image mode: 128³ cells, optical depth 5, albedo 0.5", [against_time, against_target]),
     });
     findings.fronts.push(front_of("image, with scattering", &samples));
+    Ok(findings)
+}
+
+/// The same through plumes that scatter along all their length.
+pub(super) fn full(watch: &Watch<'_>) -> Result<Findings, TracerError> {
+    let medium = STANDARD_FULL.medium()?;
+    let judges = judges("full plumes", &medium, &STANDARD_SCRUTINY)?;
+    let mut findings = Findings::default();
+    let mut samples = Vec::new();
+    for target in TARGETS_FULL {
+        let (seconds, image) = timed(watch, &medium, target, true)?;
+        let verdict = judges.verdict(&image);
+        let name = format!("full plumes, target {target:.0e}");
+        findings.figures.push(figure(&name, seconds, &image, &verdict));
+        samples.push((target, sample(target, seconds, &image, &verdict), image.pixels.len()));
+    }
+    findings.fronts.push(front_of("image, full plumes", &samples));
     Ok(findings)
 }
 

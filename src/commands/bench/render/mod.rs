@@ -28,7 +28,7 @@ pub(super) struct Args {
     /// Also draw the curves into this folder, one SVG a subject and one of error against time for all
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
-    /// Also write the standard scene into this folder, as `ditd render` and other programs read it
+    /// Also write the standard scenes into this folder, as `ditd render` and other programs read it
     #[arg(long, value_name = "DIR")]
     export: Option<PathBuf>,
 }
@@ -38,6 +38,8 @@ pub(super) struct Args {
 enum Subject {
     /// Image mode: time against error, targets 4e-2 to 5e-4; further frames of one operator
     Targets,
+    /// Image mode, plumes that are dense all along: two targets
+    Full,
     /// Image mode, emission and absorption only
     Straight,
     /// Pixels traced one by one
@@ -95,6 +97,7 @@ pub(super) fn figures(watch: &Watch<'_>, args: &Args) -> Result<Vec<Figure>, Com
 fn run(watch: &Watch<'_>, subject: Subject, standard: &image::Standard) -> Result<Findings, CommandError> {
     match subject {
         Subject::Targets => image::targets(watch, standard),
+        Subject::Full => image::full(watch),
         Subject::Straight => image::straight(watch),
         Subject::Reference => image::reference(watch, standard),
         Subject::Rays => rays::rays(watch),

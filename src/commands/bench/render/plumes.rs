@@ -1,4 +1,4 @@
-//! The standard scene of the ray tracer's figures: a cube of cells with eight plumes, a pinhole camera, a plate.
+//! The standard scenes of the ray tracer's figures: a cube of cells with eight plumes, a pinhole camera, a plate.
 
 use ditd_sim::light::phase::PhaseFunction;
 use ditd_sim::tracer::camera::{Camera, PixelFilter, Projection};
@@ -21,18 +21,35 @@ pub(super) struct Plumes {
     pub(super) albedo: f64,
     /// Spectral groups: extinction, albedo and asymmetry change from one to the next.
     pub(super) groups: usize,
+    pub(super) form: Form,
 }
 
-pub(super) const STANDARD: Plumes = Plumes { cells: 128, depth: 5.0, albedo: 0.5, groups: 1 };
+/// How plumes look; lengths in m, z pointing up from the nozzle at (0, 0, 1).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Form {
+    /// Standard deviation of a plume's extinction at the nozzle, and its growth with the distance.
+    width: [f64; 2],
+    /// Distance of its axis from the middle over that from the nozzle.
+    cone: f64,
+    /// Extinction along its axis goes with this power of its width.
+    power: i32,
+    /// Extinction below which cells are empty, over that of one plume at the nozzle.
+    faint: f64,
+}
+
+/// Dense at the nozzle, thin further on: nearly half of all cells hold something, most of them very little.
+const SLENDER: Form = Form { width: [0.03, 0.05], cone: 0.36, power: -2, faint: 1e-6 };
+
+/// As dense all along as widening leaves it: a third of the image is spray, with a mean transmittance of 0.89 and 40 times
+/// the mean extinction in the densest cell.
+const FULL: Form = Form { width: [0.06, 0.06], cone: 0.32, power: -1, faint: 7.8e-3 };
+
+pub(super) const STANDARD: Plumes = Plumes { cells: 128, depth: 5.0, albedo: 0.5, groups: 1, form: SLENDER };
+
+pub(super) const STANDARD_FULL: Plumes = Plumes { form: FULL, ..STANDARD };
 
 /// Asymmetry of the first group.
 const ASYMMETRY: f64 = 0.8;
-
-/// Relative extinction below which cells are empty.
-const FAINT: f64 = 1e-6;
-
-/// Extinction of one plume at the nozzle, in arbitrary units.
-const NOZZLE: f64 = 1.0 / (0.03 * 0.03);
 
 /// Scale of the extinction at which its optical depths are measured: all small, none lost in f32.
 const PROBE: f64 = 1e-3;
@@ -95,12 +112,12 @@ impl Plumes {
         let place = |i: usize| -1.0 + 2.0 * (i as f64 + 0.5) / n as f64;
         let lines: Vec<Vec<f64>> = (0..n * n)
             .into_par_iter()
-            .map(|i| column(place(i / n), place(i % n), (0..n).map(place)))
+            .map(|i| self.form.column(place(i / n), place(i % n), (0..n).map(place)))
             .collect();
         let (mut index, mut k_ext) = (Vec::with_capacity(n * n * n), Vec::new());
         let mut ordinal = 0;
         for k in lines.into_iter().flatten() {
-            if k < FAINT * NOZZLE {
+            if k < self.form.faint * self.form.nozzle() {
                 index.push(EMPTY);
             } else {
                 index.push(ordinal);
@@ -134,37 +151,56 @@ impl Plumes {
 /// Exponent beyond which a plume adds nothing: e^−36 of the nozzle's extinction is 2e-10 of the faintest cell's.
 const EXPONENT_MAX: f64 = 36.0;
 
-/// Directions of the plumes, from the axis.
-fn holes() -> [[f64; 2]; 8] {
-    std::array::from_fn(|hole| {
-        #[expect(clippy::cast_precision_loss, reason = "eight holes")]
-        let angle = std::f64::consts::TAU * (hole as f64 + 0.3) / 8.0;
-        [0.36 * libm::cos(angle), 0.36 * libm::sin(angle)]
-    })
+impl Form {
+    /// Extinction of one plume at the nozzle, in arbitrary units.
+    fn nozzle(self) -> f64 {
+        self.width[0].powi(self.power)
+    }
+
+    /// Directions of the plumes, from the axis.
+    fn holes(self) -> [[f64; 2]; 8] {
+        std::array::from_fn(|hole| {
+            #[expect(clippy::cast_precision_loss, reason = "eight holes")]
+            let angle = std::f64::consts::TAU * (hole as f64 + 0.3) / 8.0;
+            [self.cone * libm::cos(angle), self.cone * libm::sin(angle)]
+        })
+    }
+
+    /// Plumes that widen with the distance from (0, 0, 1), in arbitrary units, for all heights of a column of cells.
+    fn column(self, x: f64, y: f64, heights: impl Iterator<Item = f64>) -> Vec<f64> {
+        let holes = self.holes();
+        let one = |z: f64| {
+            let depth = 1.0 - z;
+            let width = self.width[0] + self.width[1] * depth;
+            let sum: f64 = holes
+                .iter()
+                .map(|[cos, sin]| {
+                    ((x - cos * depth).powi(2) + (y - sin * depth).powi(2)) / (2.0 * width * width)
+                })
+                .filter(|exponent| *exponent < EXPONENT_MAX)
+                .map(|exponent| libm::exp(-exponent))
+                .sum();
+            if sum > 0.0 {
+                sum * libm::exp(-libm::pow(depth / 1.7, 8.0)) * width.powi(self.power)
+            } else {
+                0.0
+            }
+        };
+        heights.map(one).collect()
+    }
 }
 
-/// Plumes that widen with the distance from (0, 0, 1), in arbitrary units, for all heights of a column of cells.
-fn column(x: f64, y: f64, heights: impl Iterator<Item = f64>) -> Vec<f64> {
-    let holes = holes();
-    let one = |z: f64| {
-        let depth = 1.0 - z;
-        let width = 0.03 + 0.05 * depth;
-        let sum: f64 = holes
-            .iter()
-            .map(|[cos, sin]| ((x - cos * depth).powi(2) + (y - sin * depth).powi(2)) / (2.0 * width * width))
-            .filter(|exponent| *exponent < EXPONENT_MAX)
-            .map(|exponent| libm::exp(-exponent))
-            .sum();
-        if sum > 0.0 { sum * libm::exp(-libm::pow(depth / 1.7, 8.0)) / (width * width) } else { 0.0 }
-    };
-    heights.map(one).collect()
-}
-
-/// The scene for other programs: extinction of every cell in f32, and the scene file.
+/// The scenes for other programs, the full plumes in a folder of their own.
 pub(super) fn write(folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    write_one(STANDARD, folder)?;
+    write_one(STANDARD_FULL, &folder.join("full"))
+}
+
+/// A scene: extinction of every cell in f32, and the scene file.
+fn write_one(scene: Plumes, folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
     std::fs::create_dir_all(folder)?;
-    let medium = STANDARD.medium()?;
-    let n = STANDARD.cells;
+    let medium = scene.medium()?;
+    let (n, albedo) = (scene.cells, scene.albedo);
     let cells: Vec<f32> = medium
         .index
         .iter()
@@ -184,17 +220,16 @@ pub(super) fn write(folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
     bytes.extend(header.as_bytes());
     bytes.extend(cells.iter().flat_map(|k| k.to_le_bytes()));
     std::fs::write(folder.join("sigma.npy"), bytes)?;
-    let mut scene = String::new();
+    let mut text = String::new();
     let _ = write!(
-        scene,
+        text,
         "[camera]\nkind = \"pinhole\"\nposition_m = [0, -6, 0]\nlook_at_m = [0, 0, 0]\nup = [0, 0, 1]\n\
          columns = 640\nrows = 512\nhorizontal_fov_deg = 30\n\n\
          [plate]\nshape = \"rectangle\"\ncentre_m = [0, 3, 0]\nfacing = [0, -1, 0]\nwidth_m = 6\nheight_m = 5\n\
          temperature_k = 400\n\n[walls]\ntemperature_k = 300\n\n[band]\nwavelength_um = 3.4\n\n\
          [medium]\nkind = \"grid\"\nextinction_npy = \"sigma.npy\"\nlower_m = [-1, -1, -1]\nupper_m = [1, 1, 1]\n\
-         albedo = {}\ntemperature_k = 450\nphase = {{ kind = \"henyey-greenstein\", asymmetry = {ASYMMETRY} }}\n",
-        STANDARD.albedo
+         albedo = {albedo}\ntemperature_k = 450\nphase = {{ kind = \"henyey-greenstein\", asymmetry = {ASYMMETRY} }}\n"
     );
-    std::fs::write(folder.join("scene.toml"), scene)?;
+    std::fs::write(folder.join("scene.toml"), text)?;
     Ok(())
 }
