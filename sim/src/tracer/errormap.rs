@@ -41,19 +41,14 @@ impl Job<'_> {
         let (rows, columns) = (operator.rows, operator.columns);
         let count = [rows.div_ceil(ERROR_STRIDE), columns.div_ceil(ERROR_STRIDE)];
         let raster = Raster::new(columns);
-        let mut squares = vec![Sum::NONE; count[0] * count[1]];
+        let mut seen = Sums::none(count);
         for (&pixel, &i) in operator.pixels.iter().zip(active) {
             let at = raster.at(pixel);
             if with_errors(at[0], at[1]) {
-                let square = summaries[i].errors.map(|kind| kind.map(|e| e * e));
-                squares[at[0] / ERROR_STRIDE * count[1] + at[1] / ERROR_STRIDE] = Sum { square, pixels: 1.0 };
+                seen.set(at[0] / ERROR_STRIDE * count[1] + at[1] / ERROR_STRIDE, &summaries[i].errors);
             }
         }
-        let mean = Sum::of(squares.iter());
-        // A lonely pixel between those with errors is like all of them.
-        let squared = around(&squares, count).map(|sums| -> Vec<[f32; ROWS]> {
-            sums.iter().map(|sum| if sum.pixels > 0.0 { sum.squared() } else { mean.squared() }).collect()
-        });
+        let squared = seen.around();
         let spread: Vec<[f32; ROWS]> = operator
             .pixels
             .par_iter()
@@ -101,56 +96,85 @@ impl Job<'_> {
     }
 }
 
-/// Squared errors of some pixels.
-#[derive(Clone, Copy)]
-struct Sum {
-    /// `[noise, bias][row]`.
-    square: [[f32; ROWS]; 2],
-    pixels: f32,
+/// Kinds of sums: squares of noise and bias of each row, and how many pixels are in them.
+const KINDS: usize = 2 * ROWS + 1;
+const PIXELS: usize = 2 * ROWS;
+
+/// Sums of squared errors about the places of a coarser image, row by row.
+struct Sums {
+    size: [usize; 2],
+    planes: [Vec<f32>; KINDS],
 }
 
-impl Sum {
-    const NONE: Self = Self { square: [[0.0; ROWS]; 2], pixels: 0.0 };
-
-    /// Square of the error that they share.
-    fn squared(&self) -> [f32; ROWS] {
-        let n = 1.0 / self.pixels.max(1.0);
-        let [noise, bias] = self.square.map(|square| square.map(|s| n * s));
-        [0, 1].map(|k: usize| noise[k] + pure_bias(noise[k], bias[k]))
+impl Sums {
+    fn none(size: [usize; 2]) -> Self {
+        Self { size, planes: std::array::from_fn(|_| vec![0.0; size[0] * size[1]]) }
     }
 
-    #[inline(always)]
-    fn of<'a>(all: impl Iterator<Item = &'a Self>) -> Self {
-        all.fold(Self::NONE, |all, one| all.plus(one))
+    /// Puts in the one pixel of a place, `[noise, bias][row]`.
+    fn set(&mut self, place: usize, errors: &[[f32; ROWS]; 2]) {
+        for (plane, error) in self.planes.iter_mut().zip(errors.as_flattened()) {
+            plane[place] = error * error;
+        }
+        self.planes[PIXELS][place] = 1.0;
     }
 
-    #[inline(always)]
-    fn plus(&self, other: &Self) -> Self {
-        let square =
-            [0, 1].map(|kind: usize| [0, 1].map(|k: usize| self.square[kind][k] + other.square[kind][k]));
-        Self { square, pixels: self.pixels + other.pixels }
+    /// Squares of the errors of pixels up to [`ERROR_REACH`] from those in each square of [`ERROR_STRIDE`]: from its
+    /// corner, its upper edge, its left edge, and its inside.
+    fn around(&self) -> [Vec<[f32; ROWS]>; 4] {
+        // A lonely pixel between those with errors is like all of them.
+        let mean = squared(self.planes.each_ref().map(|plane| plane.iter().sum()));
+        let across =
+            [0, 1].map(|between| self.planes.each_ref().map(|plane| self.along_rows(plane, between)));
+        [0, 1, 2, 3].map(|k: usize| {
+            let sums = across[k % 2].each_ref().map(|plane| self.along_columns(plane, k / 2));
+            (0..self.size[0] * self.size[1])
+                .map(|at| {
+                    let here = sums.each_ref().map(|plane| plane[at]);
+                    if here[PIXELS] > 0.0 { squared(here) } else { mean }
+                })
+                .collect()
+        })
+    }
+
+    /// Sums over the places of the same row within reach; from a `between` place one less is, on its near side.
+    fn along_rows(&self, plane: &[f32], between: usize) -> Vec<f32> {
+        let mut sums = vec![0.0_f32; plane.len()];
+        let columns = self.size[1];
+        for (sums, row) in sums.chunks_exact_mut(columns.max(1)).zip(plane.chunks_exact(columns.max(1))) {
+            for back in 0..=(REACH - between).min(columns) {
+                sums[back..].iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
+            }
+            for on in 1..=REACH.min(columns) {
+                sums.iter_mut().zip(&row[on..]).for_each(|(sum, value)| *sum += value);
+            }
+        }
+        sums
+    }
+
+    /// The same over columns.
+    fn along_columns(&self, plane: &[f32], between: usize) -> Vec<f32> {
+        let mut sums = vec![0.0_f32; plane.len()];
+        let [rows, columns] = self.size;
+        for back in 0..=(REACH - between).min(rows) {
+            sums[back * columns..].iter_mut().zip(plane).for_each(|(sum, value)| *sum += value);
+        }
+        for on in 1..=REACH.min(rows) {
+            sums.iter_mut().zip(&plane[on * columns..]).for_each(|(sum, value)| *sum += value);
+        }
+        sums
     }
 }
 
-/// Sums over the pixels with errors up to [`ERROR_REACH`] from those in each square of [`ERROR_STRIDE`]: from its corner,
-/// its upper edge, its left edge, and its inside.
-fn around(squares: &[Sum], [rows, columns]: [usize; 2]) -> [Vec<Sum>; 4] {
-    const REACH: usize = ERROR_REACH / ERROR_STRIDE;
-    // From a place between two pixels with errors one less is in reach on its near side.
-    let near = |i: usize, n: usize, between: usize| i.saturating_sub(REACH - between)..(i + REACH + 1).min(n);
-    let across = [0, 1].map(|between| -> Vec<Sum> {
-        let row = |row: &[Sum]| -> Vec<Sum> {
-            (0..columns).map(|c| Sum::of(row[near(c, columns, between)].iter())).collect()
-        };
-        squares.chunks_exact(columns.max(1)).flat_map(row).collect()
-    });
-    [0, 1, 2, 3].map(|k: usize| {
-        let of = &across[k % 2];
-        let row = |r: usize| {
-            let rows = near(r, rows, k / 2);
-            (0..columns).map(move |c| Sum::of(rows.clone().map(|r| &of[r * columns + c])))
-        };
-        (0..rows).flat_map(row).collect()
+/// Places within reach along an axis.
+const REACH: usize = ERROR_REACH / ERROR_STRIDE;
+
+/// Square of the error that pixels share whose sums are given.
+fn squared(sums: [f32; KINDS]) -> [f32; ROWS] {
+    let n = 1.0 / sums[PIXELS].max(1.0);
+    [0, 1].map(|row: usize| {
+        let (noise, bias) = (n * sums[row], n * sums[ROWS + row]);
+        noise + pure_bias(noise, bias)
     })
 }
 
@@ -162,4 +186,49 @@ pub(super) fn with_errors(row: usize, column: usize) -> bool {
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
 fn real(n: usize) -> f64 {
     n as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::spectrum::narrow;
+    use super::*;
+
+    /// Against sums that are written down place by place.
+    #[test]
+    fn sums_reach_as_far_as_is_said() {
+        for size in [[1, 1], [1, 9], [7, 2], [6, 11]] {
+            let mut sums = Sums::none(size);
+            let value = |at: usize| narrow(real(at % 5)) + 0.5;
+            let filled = |at: usize| !at.is_multiple_of(3);
+            for at in (0..size[0] * size[1]).filter(|&at| filled(at)) {
+                let v = value(at);
+                sums.set(at, &[[v, 2.0 * v], [v, 0.0]]);
+            }
+            let around = sums.around();
+            for (k, around) in around.iter().enumerate() {
+                for (at, found) in around.iter().enumerate() {
+                    let within = |i: usize, n: usize, between: usize| {
+                        i.saturating_sub(REACH - between)..(i + REACH + 1).min(n)
+                    };
+                    let (mut square, mut pixels) = (0.0, 0.0);
+                    for r in within(at / size[1], size[0], k / 2) {
+                        for c in within(at % size[1], size[1], k % 2) {
+                            let place = r * size[1] + c;
+                            if filled(place) {
+                                square += value(place).powi(2);
+                                pixels += 1.0;
+                            }
+                        }
+                    }
+                    if pixels > 0.0 {
+                        let noise = square / pixels;
+                        let want = [noise + pure_bias(noise, noise), 4.0 * noise];
+                        for (found, want) in found.iter().zip(want) {
+                            assert!((found - want).abs() < 1e-4 * want, "{size:?} {k} {at}: {found} {want}");
+                        }
+                    }
+                }
+            }
+        }
+    }
 }
