@@ -4,16 +4,20 @@
 //! are all there and lie where the trigger unit put them.
 
 mod burst;
+mod camera;
 mod error;
 mod matching;
 mod monitors;
 mod recorder;
 mod stop;
+mod watch;
 
 pub use error::CampaignError;
 pub use monitors::{Exceeded, MonitorLine, Monitors, Watched};
 pub use recorder::{Label, RecordError, Recorder, crc_of};
 pub use stop::{StopFlag, Wish};
+
+use camera::{camera_trouble, prepare_camera};
 
 use crate::config::{Config, Soak};
 use crate::journal::{CycleCount, JOURNAL_SCHEMA, Record};
@@ -21,8 +25,7 @@ use crate::plan::{LevelPlan, Plan, Purpose};
 use crate::soak::{Judge, Verdict};
 use ditd_drivers::error::DriverError;
 use ditd_drivers::instrument::{
-    Calibrator, CalibratorSettings, Camera, CameraSettings, MonitorReading, PlateReading, ShotProgram,
-    TriggerUnit,
+    Calibrator, CalibratorSettings, Camera, CameraSettings, ShotProgram, TriggerUnit,
 };
 use ditd_drivers::quantity::{Kelvin, KelvinDelta};
 use std::panic::AssertUnwindSafe;
@@ -34,9 +37,6 @@ const WISH_POLL: Duration = Duration::from_millis(250);
 
 /// How often a camera may go and come back at one level.
 const CAMERA_LOSSES_MAX: u32 = 3;
-
-/// Relative difference of the integration time that a camera may round to: far below the 1e-3 that would show.
-const INTEGRATION_TOLERANCE: f64 = 1e-6;
 
 /// Where an interrupted soak or a plate that leaves its band is soaked again, at most this often per level.
 const RESOAKS_MAX: u32 = 5;
@@ -120,14 +120,6 @@ enum Interrupt {
     Error(CampaignError),
     /// The camera is gone: it may come back.
     CameraLost(DriverError),
-}
-
-/// The camera's trouble: one that is gone is looked for, anything else ends the campaign.
-fn camera_trouble(error: DriverError) -> Interrupt {
-    match error {
-        DriverError::Lost { .. } => Interrupt::CameraLost(error),
-        other => Interrupt::Error(other.into()),
-    }
 }
 
 impl<E: Into<CampaignError>> From<E> for Interrupt {
@@ -228,37 +220,6 @@ impl Engine<'_> {
         Ok(())
     }
 
-    /// Waits for a camera that has gone, for as long as its driver is told, and prepares it from scratch. Injector and
-    /// clock stand meanwhile; the level then goes on with a new soak and the cycles that are missing.
-    async fn find_camera_again(&mut self, number: u32, level: &LevelPlan, lost: &DriverError) -> Step<()> {
-        self.instruments.trigger.make_safe().await?;
-        let act = format!("look for the camera again ({lost})");
-        self.note(Record::Intent { act: act.clone(), level: Some(number) })?;
-        self.progress.note(&format!("level {}: {lost} Looking for the camera again.", number + 1));
-        {
-            let stop = self.stop.clone();
-            let prepared = self.prepare_camera();
-            tokio::pin!(prepared);
-            loop {
-                tokio::select! {
-                    ended = &mut prepared => break ended?,
-                    () = sleep(WISH_POLL) => {
-                        let wish = stop.wish();
-                        if wish >= Wish::Pause {
-                            return Err(Interrupt::Wish(wish));
-                        }
-                    }
-                }
-            }
-        }
-        if level.shutter_reference {
-            // It may have been closed when the camera went.
-            self.instruments.camera.shutter(false).await.map_err(camera_trouble)?;
-        }
-        self.note(Record::Done { act, level: Some(number) })?;
-        Ok(())
-    }
-
     async fn prepare(&mut self) -> Step<()> {
         self.progress.waiting("asking the instruments who they are", None);
         let identity = self.instruments.trigger.identify().await?;
@@ -274,22 +235,7 @@ impl Engine<'_> {
         if !values.is_empty() {
             self.note(Record::Particulars { instrument: "plate".to_owned(), values })?;
         }
-        self.prepare_camera().await
-    }
-
-    async fn prepare_camera(&mut self) -> Step<()> {
-        let wanted = camera_settings(self.config);
-        let taken = self.instruments.camera.prepare(&wanted).await.map_err(camera_trouble)?;
-        let same_time = (taken.integration_s / wanted.integration_s - 1.0).abs() < INTEGRATION_TOLERANCE;
-        if (CameraSettings { integration_s: wanted.integration_s, ..taken.clone() }) != wanted || !same_time {
-            return Err(Interrupt::Error(CampaignError::Driver(DriverError::Refused {
-                who: format!("camera at {}", self.config.camera.address),
-                doing: "setting region, integration time and depth".to_owned(),
-                why: format!("asked for {wanted:?}, took {taken:?}"),
-                hint: "Write what the camera can do into [camera].".to_owned(),
-            })));
-        }
-        Ok(())
+        prepare_camera(&mut *self.instruments.camera, self.config).await
     }
 
     async fn level(&mut self, number: u32, level: &LevelPlan) -> Step<()> {
@@ -397,41 +343,6 @@ impl Engine<'_> {
         }
     }
 
-    /// Reads the plate and the monitors, writes both into the telemetry, and holds them against their limits.
-    async fn read_plate(&mut self, level: u32) -> Step<(PlateReading, Vec<MonitorReading>)> {
-        let reading = self.instruments.plate.read().await?;
-        let round = self.instruments.monitors.read().await?;
-        for note in &round.notes {
-            self.progress.note(note);
-        }
-        let t_ns = self.now_ns();
-        self.recorder.reading(t_ns, level, &reading, &round.values)?;
-        if let Some(Exceeded { name, value, side, limit }) = round.exceeded {
-            self.note_values(level, None, round.values)?;
-            return Err(Interrupt::Error(CampaignError::OutOfLimits { name, value, side, limit }));
-        }
-        if reading.tripped {
-            return Err(Interrupt::Error(CampaignError::Tripped { apparent_k: reading.apparent.0 }));
-        }
-        // Overshoot of some kelvin is what controllers do; a plate that runs away is not.
-        let limit_k = self.config.plate.limit_k + OVERSHOOT_ALLOWED_K;
-        if reading.apparent.0 > limit_k || reading.block.0 > limit_k {
-            return Err(Interrupt::Error(CampaignError::TooHot {
-                reading_k: reading.apparent.0.max(reading.block.0),
-                limit_k,
-            }));
-        }
-        Ok((reading, round.values))
-    }
-
-    /// Keeps process values in the record; a rig without monitors has none.
-    fn note_values(&mut self, level: u32, cycle: Option<u32>, values: Vec<MonitorReading>) -> Step<()> {
-        if !values.is_empty() {
-            self.note(Record::ProcessValues { level, cycle, values })?;
-        }
-        Ok(())
-    }
-
     fn reject(&mut self, level: u32, cycle: u32, reason: String) -> Step<()> {
         self.progress.note(&format!("level {}, cycle {cycle} is taken again: {reason}", level + 1));
         self.note(Record::CycleRejected { level, cycle, reason })?;
@@ -488,12 +399,9 @@ impl Engine<'_> {
     }
 
     fn now_ns(&self) -> u64 {
-        self.elapsed_before_ns + u64::try_from(self.started.elapsed().as_nanos()).unwrap_or(u64::MAX)
+        watch::now_ns(self.started, self.elapsed_before_ns)
     }
 }
-
-/// Above `plate.limit_k` by more than this a reading stops the campaign: the 4181's overshoot is a few kelvin.
-const OVERSHOOT_ALLOWED_K: f64 = 10.0;
 
 /// Injector channel off, trigger clock off, camera off, plate to its minimum: in this order, each tried even if
 /// an earlier one could not be reached. Returns what could not be confirmed.
