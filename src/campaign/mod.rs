@@ -8,12 +8,14 @@ mod camera;
 mod error;
 mod matching;
 mod monitors;
+mod origin;
 mod recorder;
 mod stop;
 mod watch;
 
 pub use error::CampaignError;
 pub use monitors::{Exceeded, MonitorLine, Monitors, Watched};
+pub use origin::Origins;
 pub use recorder::{Label, RecordError, Recorder, crc_of};
 pub use stop::{StopFlag, Wish};
 
@@ -113,6 +115,8 @@ pub struct Engine<'a> {
     pub elapsed_before_ns: u64,
     /// When fuel may last have been injected; a resumed run starts with its own beginning.
     pub last_injection: Option<Instant>,
+    /// What the bursts before say of when first frames come.
+    pub origins: Origins,
 }
 
 enum Interrupt {
@@ -170,12 +174,12 @@ impl Engine<'_> {
             Err(Interrupt::Error(error)) => Err(error),
             Err(Interrupt::CameraLost(error)) => Err(error.into()),
         };
-        // Injector and clock first, before anything that could wait for a disk or a terminal; then once more in order,
-        // with its record.
-        let _ = self.instruments.trigger.make_safe().await;
+        // Injector and clock first, before anything that could wait for a disk or a terminal; once more in order, with its
+        // record, when that was not confirmed.
+        let rests = self.instruments.trigger.make_safe().await.is_ok();
         self.progress.waiting("bringing the rig to its safe state", None);
         let _ = self.note(Record::Intent { act: "safe state".to_owned(), level: None });
-        let unsafe_because = safe_state(self.instruments).await;
+        let unsafe_because = safe_state(self.instruments, rests).await;
         if unsafe_because.is_empty() {
             let _ = self.note(Record::Done { act: "safe state".to_owned(), level: None });
         }
@@ -403,16 +407,18 @@ impl Engine<'_> {
     }
 }
 
-/// Injector channel off, trigger clock off, camera off, plate to its minimum: in this order, each tried even if
-/// an earlier one could not be reached. Returns what could not be confirmed.
-pub async fn safe_state(instruments: &mut Instruments) -> Vec<DriverError> {
+/// Injector channel off, trigger clock off (unless they rest already), camera off, plate to its minimum: in this order,
+/// each tried even if an earlier one could not be reached. Returns what could not be confirmed.
+async fn safe_state(instruments: &mut Instruments, trigger_rests: bool) -> Vec<DriverError> {
     let mut trouble = Vec::new();
-    let mut made = instruments.trigger.make_safe().await;
-    if made.as_ref().is_err_and(DriverError::is_reopened) {
-        // The line is there again, and nothing was repeated yet.
-        made = instruments.trigger.make_safe().await;
+    if !trigger_rests {
+        let mut made = instruments.trigger.make_safe().await;
+        if made.as_ref().is_err_and(DriverError::is_reopened) {
+            // The line is there again, and nothing was repeated yet.
+            made = instruments.trigger.make_safe().await;
+        }
+        trouble.extend(made.err());
     }
-    trouble.extend(made.err());
     if let Err(error) = instruments.camera.make_safe().await {
         trouble.push(error);
     }

@@ -3,7 +3,7 @@
 use super::GigeSettings;
 use super::worker::{Order, Worker};
 use crate::error::DriverError;
-use crate::instrument::{Camera, CameraSettings, Frame, Identity};
+use crate::instrument::{Camera, CameraClock, CameraSettings, Frame, Identity};
 use crate::quantity::Kelvin;
 use async_trait::async_trait;
 use std::time::Duration;
@@ -132,6 +132,10 @@ impl Camera for GigeCamera {
 
     async fn correct_offset(&mut self) -> Result<(), DriverError> {
         self.order("taking a new offset", Order::CorrectOffset).await
+    }
+
+    async fn clock(&mut self) -> Result<Option<CameraClock>, DriverError> {
+        self.order("asking for its clock", Order::Clock).await
     }
 
     async fn start(&mut self) -> Result<(), DriverError> {

@@ -5,7 +5,7 @@ use super::names::{Names, Purpose};
 use super::pixels::{Layout, PixelFormat, TelopsHeader};
 use super::sequence::Numbers;
 use crate::error::DriverError;
-use crate::instrument::{CameraSettings, Frame, Identity};
+use crate::instrument::{CameraClock, CameraSettings, Frame, Identity};
 use crate::quantity::Kelvin;
 use aravis::glib::object::Cast;
 use aravis::prelude::*;
@@ -16,6 +16,7 @@ use aravis::{
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+use tokio::time::Instant;
 
 /// Longest difference between the integration time that was told and that of a frame's own data, relative.
 const EXPOSURE_TOLERANCE: f64 = 1e-3;
@@ -27,6 +28,13 @@ const FRAME_RETENTION_MS: u32 = 200;
 /// GigE Vision's control channel privilege register: bit 0 exclusive, bit 1 control.
 const CONTROL_PRIVILEGE: u64 = 0x0A00;
 const HAS_CONTROL: u32 = 0b11;
+
+/// GigE Vision's clock, which stamps the leaders of frames: ticks in a second (two registers), its control (bit 1 latches
+/// it), and what was latched (two registers).
+const TICK_FREQUENCY: [u64; 2] = [0x093C, 0x0940];
+const CLOCK_CONTROL: u64 = 0x0944;
+const LATCH: u32 = 0b10;
+const LATCHED: [u64; 2] = [0x0948, 0x094C];
 
 /// The stream's counters that say something about losses.
 const COUNTERS: [&str; 12] = [
@@ -168,6 +176,36 @@ impl Device {
         }
         let name = self.names.of(Purpose::Width).unwrap_or("Width");
         self.camera.integer(name).map(|_| ()).map_err(|error| self.lost(DOING, error.message().to_owned()))
+    }
+
+    /// What the clock shows that stamps the frames: latched between two moments of ours, then read. `None` for a camera
+    /// that cannot do that; only one that is gone is an error.
+    pub(super) fn clock(&self) -> Result<Option<CameraClock>, DriverError> {
+        const DOING: &str = "asking for its clock";
+        let Some(device) = self.camera.device().filter(|_| self.camera.is_gv_device()) else {
+            return Ok(None);
+        };
+        let wide = |registers: [u64; 2]| -> Result<u64, aravis::glib::Error> {
+            let [high, low] = registers;
+            let (_, high) = device.read_register(high)?;
+            let (_, low) = device.read_register(low)?;
+            Ok(u64::from(high) << 32 | u64::from(low))
+        };
+        let latched = || -> Result<Option<CameraClock>, aravis::glib::Error> {
+            let per_second = wide(TICK_FREQUENCY)?;
+            let earliest = Instant::now();
+            device.write_register(CLOCK_CONTROL, LATCH)?;
+            let latest = Instant::now();
+            let device_ns = nanoseconds(wide(LATCHED)?, per_second);
+            Ok(device_ns.map(|device_ns| CameraClock { device_ns, earliest, latest }))
+        };
+        match latched() {
+            Ok(clock) => Ok(clock),
+            Err(error) => match self.trouble(DOING, &error) {
+                gone @ DriverError::Lost { .. } => Err(gone),
+                _ => Ok(None),
+            },
+        }
     }
 
     /// Writes everything that a campaign needs and reads it back.
@@ -556,6 +594,12 @@ fn frame_of(
         .counts(&bytes)
         .map_err(|why| (why, "Check bits and pixel_format in [camera], and the preset in [camera.gige]."))?;
     Ok(Some(frame(counts, complete)))
+}
+
+/// Ticks of a clock in nanoseconds; `None` for a clock that does not tick.
+fn nanoseconds(ticks: u64, per_second: u64) -> Option<u64> {
+    let ns = u128::from(ticks) * 1_000_000_000 / (per_second != 0).then_some(u128::from(per_second))?;
+    u64::try_from(ns).ok()
 }
 
 fn as_i32(value: usize) -> i32 {

@@ -4,7 +4,7 @@ use super::GigeSettings;
 use super::device::{Device, Got};
 use super::sequence::Numbers;
 use crate::error::DriverError;
-use crate::instrument::{CameraSettings, Frame, Identity};
+use crate::instrument::{CameraClock, CameraSettings, Frame, Identity};
 use crate::quantity::Kelvin;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
@@ -27,6 +27,7 @@ pub(super) enum Order {
     Prepare(CameraSettings, Answer<CameraSettings>),
     Shutter(bool, Answer<Option<Kelvin>>),
     CorrectOffset(Answer<()>),
+    Clock(Answer<Option<CameraClock>>),
     Start(Answer<mpsc::Receiver<Result<Frame, DriverError>>>),
     Stop(Answer<Vec<(&'static str, u64)>>),
 }
@@ -128,6 +129,7 @@ impl Thread {
             Order::CorrectOffset(answer) => {
                 drop(answer.send(self.with(|device| device.correct_offset())));
             }
+            Order::Clock(answer) => drop(answer.send(self.with(|device| device.clock()))),
             Order::Start(answer) => {
                 self.frames = None;
                 let (sender, receiver) = mpsc::channel(FRAMES_QUEUED_MAX);

@@ -6,7 +6,7 @@ use super::table::{Key, table_row};
 use super::value::{Value, encode_value};
 use super::{INJECTOR_CHANNEL, RANGE};
 use crate::error::DriverError;
-use crate::instrument::{Identity, ShotProgram, TriggerUnit};
+use crate::instrument::{Begun, Identity, ShotProgram, TriggerUnit};
 use crate::keyword::spell;
 use crate::trigger_limits::{self, LastInjection, TriggerLimits};
 use crate::wire::{LineHabits, Sign, Wire, WireSettings};
@@ -169,7 +169,10 @@ impl Quantum9520 {
     async fn halt(&mut self, doing: &str) -> Result<(), DriverError> {
         let injector = self.switch_off(INJECTOR_CHANNEL, doing).await;
         let clock = self.switch_off(0, doing).await;
-        self.note_last_injection();
+        // A burst of which nobody knows that it has stopped goes on injecting: it is noted when that is known.
+        if injector.is_ok() || clock.is_ok() {
+            self.note_last_injection();
+        }
         injector.and(clock)
     }
 
@@ -252,7 +255,7 @@ impl TriggerUnit for Quantum9520 {
         Ok(program.clone())
     }
 
-    async fn start(&mut self) -> Result<(), DriverError> {
+    async fn start(&mut self) -> Result<Begun, DriverError> {
         let doing = "starting a burst";
         let Some(program) = self.programmed.clone() else {
             return Err(self.refused(doing, "no burst has been programmed since the last error".to_owned()));
@@ -266,15 +269,17 @@ impl TriggerUnit for Quantum9520 {
         self.started = Some(Started { program: program.clone(), at });
         // Sent once: repeated after a lost answer it might start a second burst. Whether it was taken, the unit's
         // state tells.
-        match self.exchange(&Command::set_channel(0, Key::State, Value::Flag(true)), doing).await {
-            Ok(_) | Err(DriverError::Silent { .. } | DriverError::Garbled { .. }) => {}
-            Err(error) if error.is_reopened() => {}
+        let taken = match self.exchange(&Command::set_channel(0, Key::State, Value::Flag(true)), doing).await
+        {
+            Ok(_) => Some(Instant::now()),
+            Err(DriverError::Silent { .. } | DriverError::Garbled { .. }) => None,
+            Err(error) if error.is_reopened() => None,
             Err(error) => return Err(error),
-        }
+        };
         let running = self.is_running(doing).await?;
         // A burst that is over already is no failure.
         if running || at.elapsed() >= Duration::from_nanos(program.burst_ns()) {
-            return Ok(());
+            return Ok(Begun { earliest: at, latest: taken.unwrap_or_else(Instant::now) });
         }
         Err(self.refused(doing, "told to run, it does not run".to_owned()))
     }
