@@ -552,7 +552,7 @@ impl Camera for GoneOnce {
             self.gone = true;
             let text = |text: &str| text.to_owned();
             let (who, doing) = (text("camera"), text("waiting for a frame"));
-            return Err(DriverError::Lost { who, doing, why: text("no power"), hint: text("Plug it in.") });
+            return Err(DriverError::lost(who, doing, text("no power"), text("Plug it in.")));
         }
         Ok(frame)
     }

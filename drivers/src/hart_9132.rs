@@ -384,32 +384,30 @@ impl Hart9132 {
         if !self.is_tripped(doing).await? {
             return Ok(());
         }
-        Err(DriverError::Interlock {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
-            why: "its cutout has tripped: the plate does not heat".to_owned(),
-            hint: "Find out why it became too hot, then reset the cutout at the unit.".to_owned(),
-        })
+        Err(DriverError::interlock(
+            self.wire.name(),
+            doing,
+            "its cutout has tripped: the plate does not heat",
+            "Find out why it became too hot, then reset the cutout at the unit.",
+        ))
     }
 
     fn refused(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Refused {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::refused(
+            self.wire.name(),
+            doing,
             why,
-            hint:
-                "Check at the keypad that it shows its temperature and that the set-point lies in its range."
-                    .to_owned(),
-        }
+            "Check at the keypad that it shows its temperature and that the set-point lies in its range.",
+        )
     }
 
     fn limit(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Limit {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::limit(
+            self.wire.name(),
+            doing,
             why,
-            hint: "Change the levels, or the limit if the rig really allows it.".to_owned(),
-        }
+            "Change the levels, or the limit if the rig really allows it.",
+        )
     }
 }
 

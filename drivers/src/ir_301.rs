@@ -151,12 +151,12 @@ impl Ir301 {
     async fn check_trouble(&mut self, doing: &str) -> Result<(), DriverError> {
         match self.trouble(doing).await? {
             None => Ok(()),
-            Some(why) => Err(DriverError::Interlock {
-                who: self.master.name().to_owned(),
-                doing: doing.to_owned(),
+            Some(why) => Err(DriverError::interlock(
+                self.master.name(),
+                doing,
                 why,
-                hint: "Look the number up in the controller's manual and clear it at the front.".to_owned(),
-            }),
+                "Look the number up in the controller's manual and clear it at the front.",
+            )),
         }
     }
 
@@ -170,21 +170,21 @@ impl Ir301 {
         if held == value {
             return Ok(decode_celsius(held));
         }
-        Err(DriverError::Refused {
-            who: self.master.name().to_owned(),
-            doing: doing.to_owned(),
-            why: format!("told {target_c:.1} °C, holds {:.1} °C", decode_celsius(held)),
-            hint: "Check the range of the source and that the controller is in remote operation.".to_owned(),
-        })
+        Err(DriverError::refused(
+            self.master.name(),
+            doing,
+            format!("told {target_c:.1} °C, holds {:.1} °C", decode_celsius(held)),
+            "Check the range of the source and that the controller is in remote operation.",
+        ))
     }
 
     fn limit(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Limit {
-            who: self.master.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::limit(
+            self.master.name(),
+            doing,
             why,
-            hint: "Change the levels, or the limit if the rig really allows it.".to_owned(),
-        }
+            "Change the levels, or the limit if the rig really allows it.",
+        )
     }
 }
 
@@ -194,12 +194,12 @@ impl Calibrator for Ir301 {
         let doing = "asking who it is";
         let model = self.read_register(Register::Model, doing).await?;
         if model != MODEL {
-            return Err(DriverError::Refused {
-                who: self.master.name().to_owned(),
-                doing: doing.to_owned(),
-                why: format!("its model register holds {model}, an IR-301 answers {MODEL}"),
-                hint: "Check the address: another instrument may sit on this line.".to_owned(),
-            });
+            return Err(DriverError::refused(
+                self.master.name(),
+                doing,
+                format!("its model register holds {model}, an IR-301 answers {MODEL}"),
+                "Check the address: another instrument may sit on this line.",
+            ));
         }
         let revision = self.read_register(Register::Revision, doing).await?;
         Ok(Identity {

@@ -298,12 +298,12 @@ impl Master {
             }
             other => format!("{question:?} was answered by {other:?}"),
         };
-        DriverError::Refused {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::refused(
+            self.wire.name(),
+            doing,
             why,
-            hint: "Check unit, function and register against the instrument's table.".to_owned(),
-        }
+            "Check unit, function and register against the instrument's table.",
+        )
     }
 
     /// Reading twice and writing the same twice do no harm.

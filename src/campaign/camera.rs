@@ -25,12 +25,12 @@ pub(super) async fn prepare_camera(camera: &mut dyn Camera, config: &Config) -> 
     let taken = camera.prepare(&wanted).await.map_err(camera_trouble)?;
     let same_time = (taken.integration_s / wanted.integration_s - 1.0).abs() < INTEGRATION_TOLERANCE;
     if (CameraSettings { integration_s: wanted.integration_s, ..taken.clone() }) != wanted || !same_time {
-        return Err(Interrupt::Error(CampaignError::Driver(DriverError::Refused {
-            who: format!("camera at {}", config.camera.address),
-            doing: "setting region, integration time and depth".to_owned(),
-            why: format!("asked for {wanted:?}, took {taken:?}"),
-            hint: "Write what the camera can do into [camera].".to_owned(),
-        })));
+        return Err(Interrupt::Error(CampaignError::Driver(DriverError::refused(
+            format!("camera at {}", config.camera.address),
+            "setting region, integration time and depth",
+            format!("asked for {wanted:?}, took {taken:?}"),
+            "Write what the camera can do into [camera].",
+        ))));
     }
     Ok(())
 }

@@ -266,13 +266,12 @@ impl Dg645 {
     }
 
     fn refused(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Refused {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::refused(
+            self.wire.name(),
+            doing,
             why,
-            hint: "Check that nobody works at its front panel, and switch it off and on if it persists."
-                .to_owned(),
-        }
+            "Check that nobody works at its front panel, and switch it off and on if it persists.",
+        )
     }
 }
 
@@ -315,12 +314,12 @@ impl TriggerUnit for Dg645 {
         (self.programmed, self.next_cycle, self.is_ready) = (None, None, false);
         let complaints = trigger_limits::complaints(program, &self.limits, &RANGE);
         if !complaints.is_empty() {
-            return Err(DriverError::Limit {
-                who: self.wire.name().to_owned(),
-                doing: doing.to_owned(),
-                why: complaints.into_iter().map(|complaint| complaint.why).collect::<Vec<_>>().join("; "),
-                hint: "Change the times of the plan, or the limit if the rig really allows it.".to_owned(),
-            });
+            return Err(DriverError::limit(
+                self.wire.name(),
+                doing,
+                complaints.into_iter().map(|complaint| complaint.why).collect::<Vec<_>>().join("; "),
+                "Change the times of the plan, or the limit if the rig really allows it.",
+            ));
         }
         self.forget_errors(doing).await?;
         if self.is_busy(doing).await? {

@@ -181,12 +181,12 @@ impl Fluke418x {
         if !self.query(Header::Tripped, decode_flag, doing).await? {
             return Ok(());
         }
-        Err(DriverError::Interlock {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
-            why: "a cutout has tripped: the plate neither heats nor cools".to_owned(),
-            hint: "Find out why it became too hot, then clear the cutout at the keypad.".to_owned(),
-        })
+        Err(DriverError::interlock(
+            self.wire.name(),
+            doing,
+            "a cutout has tripped: the plate neither heats nor cools",
+            "Find out why it became too hot, then clear the cutout at the keypad.",
+        ))
     }
 
     /// Locks the keypad, so that nobody changes a set-point during a campaign. Where the instrument asks for a
@@ -235,23 +235,21 @@ impl Fluke418x {
     }
 
     fn refused(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Refused {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::refused(
+            self.wire.name(),
+            doing,
             why,
-            hint:
-                "Check at the keypad that the instrument is in its main menu and runs no program of its own."
-                    .to_owned(),
-        }
+            "Check at the keypad that the instrument is in its main menu and runs no program of its own.",
+        )
     }
 
     fn limit(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Limit {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::limit(
+            self.wire.name(),
+            doing,
             why,
-            hint: "Change the levels, or the limit if the rig really allows it.".to_owned(),
-        }
+            "Change the levels, or the limit if the rig really allows it.",
+        )
     }
 }
 
@@ -271,12 +269,12 @@ impl Calibrator for Fluke418x {
             Some(model) => self.model = Some(model),
             None => {
                 let model = &identity.model;
-                return Err(DriverError::Refused {
-                    who: self.wire.name().to_owned(),
-                    doing: doing.to_owned(),
-                    why: format!("it is a {model:?}, this driver is for 4180 and 4181"),
-                    hint: "Check the address: another instrument may sit on this line.".to_owned(),
-                });
+                return Err(DriverError::refused(
+                    self.wire.name(),
+                    doing,
+                    format!("it is a {model:?}, this driver is for 4180 and 4181"),
+                    "Check the address: another instrument may sit on this line.",
+                ));
             }
         }
         Ok(identity)

@@ -87,12 +87,12 @@ impl GigeCamera {
     }
 
     fn dead(&self, doing: &str) -> DriverError {
-        DriverError::Lost {
-            who: self.who.clone(),
-            doing: doing.to_owned(),
-            why: "the camera's thread has ended".to_owned(),
-            hint: "This is a mistake of the program: please report it.".to_owned(),
-        }
+        DriverError::lost(
+            &self.who,
+            doing,
+            "the camera's thread has ended",
+            "This is a mistake of the program: please report it.",
+        )
     }
 
     /// Looks for a camera that has gone until it is there or the time is over.
@@ -147,12 +147,7 @@ impl Camera for GigeCamera {
     async fn frame(&mut self, deadline: Duration) -> Result<Frame, DriverError> {
         const DOING: &str = "waiting for a frame";
         let Some(frames) = &mut self.frames else {
-            return Err(DriverError::Refused {
-                who: self.who.clone(),
-                doing: DOING.to_owned(),
-                why: "it was not started".to_owned(),
-                hint: "Start it first.".to_owned(),
-            });
+            return Err(DriverError::refused(&self.who, DOING, "it was not started", "Start it first."));
         };
         match timeout(deadline, frames.recv()).await {
             Ok(Some(Ok(frame))) => Ok(frame),

@@ -512,13 +512,12 @@ impl Device {
     }
 
     fn lost(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Lost {
-            who: self.who.clone(),
-            doing: doing.to_owned(),
+        DriverError::lost(
+            &self.who,
+            doing,
             why,
-            hint: "Check the camera's power and network cable, and that no other program controls it."
-                .to_owned(),
-        }
+            "Check the camera's power and network cable, and that no other program controls it.",
+        )
     }
 }
 
@@ -612,10 +611,5 @@ fn round_to(value: f64, grain: f64) -> f64 {
 }
 
 fn refused(who: &str, doing: &str, why: &str, hint: &str) -> DriverError {
-    DriverError::Refused {
-        who: who.to_owned(),
-        doing: doing.to_owned(),
-        why: why.to_owned(),
-        hint: hint.to_owned(),
-    }
+    DriverError::refused(who, doing, why, hint)
 }

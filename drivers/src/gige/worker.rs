@@ -164,12 +164,12 @@ impl Thread {
     fn with<T>(&mut self, act: impl FnOnce(&mut Device) -> Result<T, DriverError>) -> Result<T, DriverError> {
         match &mut self.device {
             Some(device) => act(device),
-            None => Err(DriverError::Lost {
-                who: self.who.clone(),
-                doing: "talking to it".to_owned(),
-                why: "it is not open".to_owned(),
-                hint: "Check the camera's power and network cable.".to_owned(),
-            }),
+            None => Err(DriverError::lost(
+                &self.who,
+                "talking to it",
+                "it is not open",
+                "Check the camera's power and network cable.",
+            )),
         }
     }
 }

@@ -185,22 +185,21 @@ impl Quantum9520 {
     }
 
     fn refused(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Refused {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::refused(
+            self.wire.name(),
+            doing,
             why,
-            hint: "Check that nobody works at its front panel, and switch it off and on if it persists."
-                .to_owned(),
-        }
+            "Check that nobody works at its front panel, and switch it off and on if it persists.",
+        )
     }
 
     fn limit(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Limit {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::limit(
+            self.wire.name(),
+            doing,
             why,
-            hint: "Change the times of the plan, or the limit if the rig really allows it.".to_owned(),
-        }
+            "Change the times of the plan, or the limit if the rig really allows it.",
+        )
     }
 }
 

@@ -244,12 +244,9 @@ impl Camera for SimCamera {
         };
         match tokio::time::timeout(deadline, next).await {
             Ok(Some(frame)) => Ok(frame),
-            Ok(None) => Err(DriverError::Lost {
-                who: WHO.to_owned(),
-                doing: DOING.to_owned(),
-                why: "the trigger unit was switched off".to_owned(),
-                hint: "Start the rig anew.".to_owned(),
-            }),
+            Ok(None) => {
+                Err(DriverError::lost(WHO, DOING, "the trigger unit was switched off", "Start the rig anew."))
+            }
             Err(_) => Err(DriverError::Silent {
                 who: WHO.to_owned(),
                 doing: DOING.to_owned(),
