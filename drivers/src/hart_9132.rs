@@ -9,8 +9,9 @@
 use crate::error::DriverError;
 use crate::instrument::{Calibrator, CalibratorSettings, Identity, PlateReading};
 use crate::quantity::{Kelvin, KelvinDelta};
+use crate::set_point::{SetPoint, check_limit};
 use crate::steadiness::Steadiness;
-use crate::wire::{LineHabits, Sign, Wire, WireSettings};
+use crate::wire::{LineHabits, Sign, Tries, Wire, WireSettings};
 use async_trait::async_trait;
 use std::time::Duration;
 
@@ -28,9 +29,6 @@ const SAFE_SET_POINTS_C: [f64; 3] = [25.0, 35.0, 50.0];
 
 /// Temperatures outside of this range, in °C, are noise on the line: beyond any unit of the family.
 const PLAUSIBLE_C: std::ops::RangeInclusive<f64> = -60.0..=700.0;
-
-/// Tries of one query; a third failure in a row is no accident.
-const QUERY_TRIES: u32 = 3;
 
 /// Tries of one set that is not confirmed.
 const SET_TRIES: u32 = 2;
@@ -270,24 +268,16 @@ impl Hart9132 {
         doing: &str,
     ) -> Result<T, DriverError> {
         let question = Command::query(header).encode();
-        let mut tries = 0;
+        let mut tries = Tries::default();
         loop {
-            tries += 1;
-            let error = match self.wire.ask(&question, doing).await {
+            let failure = match self.wire.ask(&question, doing).await {
                 Ok(answer) => match decode(&answer) {
                     Ok(value) => return Ok(value),
                     Err(why) => self.wire.unexpected(doing, &answer, why),
                 },
-                Err(error) => error,
+                Err(failure) => failure,
             };
-            match error {
-                DriverError::Silent { who, doing, waited, tries: 1, hint } if tries >= QUERY_TRIES => {
-                    return Err(DriverError::Silent { who, doing, waited, tries, hint });
-                }
-                DriverError::Silent { tries: 1, .. } => {}
-                DriverError::Garbled { .. } if tries < QUERY_TRIES => {}
-                error => return Err(error),
-            }
+            tries.again(failure)?;
         }
     }
 
@@ -400,15 +390,6 @@ impl Hart9132 {
             "Check at the keypad that it shows its temperature and that the set-point lies in its range.",
         )
     }
-
-    fn limit(&self, doing: &str, why: String) -> DriverError {
-        DriverError::limit(
-            self.wire.name(),
-            doing,
-            why,
-            "Change the levels, or the limit if the rig really allows it.",
-        )
-    }
 }
 
 #[async_trait]
@@ -426,9 +407,7 @@ impl Calibrator for Hart9132 {
 
     async fn prepare(&mut self, settings: &CalibratorSettings) -> Result<(), DriverError> {
         self.settings = None;
-        if !settings.limit.0.is_finite() {
-            return Err(self.limit("preparing", "the configured limit is not a number".to_owned()));
-        }
+        check_limit(self.wire.name(), settings)?;
         self.tell_if_known(Header::Duplex, "h", "switching the echo off").await?;
         self.force_celsius().await?;
         self.tells_cutout =
@@ -442,22 +421,9 @@ impl Calibrator for Hart9132 {
     }
 
     async fn set_point(&mut self, target: Kelvin) -> Result<Kelvin, DriverError> {
-        let target_c = (target.celsius() / DIGIT_C).round() * DIGIT_C;
-        let doing = format!("setting {target_c:.2} °C");
-        let Some(settings) = &self.settings else {
-            return Err(
-                self.limit(&doing, "the limits are not known before the instrument is prepared".to_owned())
-            );
-        };
-        let limit_c = settings.limit.celsius();
-        if !target_c.is_finite() {
-            return Err(self.limit(&doing, "the set-point is not a number".to_owned()));
-        }
-        if target_c > limit_c {
-            return Err(self.limit(&doing, format!("the configured limit is {limit_c:.2} °C")));
-        }
-        self.check_cutout(&doing).await?;
-        Ok(Kelvin::from_celsius(self.set_celsius(target_c, &doing).await?))
+        let target = SetPoint::new(self.wire.name(), target, DIGIT_C.recip(), self.settings.as_ref())?;
+        self.check_cutout(&target.doing).await?;
+        Ok(Kelvin::from_celsius(self.set_celsius(target.celsius, &target.doing).await?))
     }
 
     async fn read(&mut self) -> Result<PlateReading, DriverError> {

@@ -25,6 +25,15 @@ pub struct Identity {
     pub firmware: String,
 }
 
+impl Identity {
+    /// From an answer to `*IDN?`: maker, model, serial number and version, parted by commas.
+    pub fn of_fields(answer: &str) -> Option<Self> {
+        let fields: Vec<_> = answer.split(',').map(|field| field.trim().to_owned()).collect();
+        let [maker, model, serial, firmware] = <[String; 4]>::try_from(fields).ok()?;
+        Some(Self { maker, model, serial, firmware })
+    }
+}
+
 /// What a calibrator is told before the first set-point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CalibratorSettings {

@@ -9,6 +9,7 @@ use crate::error::DriverError;
 use crate::instrument::{Calibrator, CalibratorSettings, Identity, PlateReading};
 use crate::modbus::{Master, Question};
 use crate::quantity::{Kelvin, KelvinDelta};
+use crate::set_point::{LIMIT_HINT, SetPoint, check_limit};
 use crate::steadiness::Steadiness;
 use crate::wire::{Wire, WireSettings};
 use async_trait::async_trait;
@@ -162,7 +163,8 @@ impl Ir301 {
 
     async fn set_confirmed(&mut self, target_c: f64, doing: &str) -> Result<f64, DriverError> {
         let Some(value) = encode_celsius(target_c) else {
-            return Err(self.limit(doing, format!("{target_c} °C does not fit into a register")));
+            let why = format!("{target_c} °C does not fit into a register");
+            return Err(DriverError::limit(self.master.name(), doing, why, LIMIT_HINT));
         };
         self.master.write(Register::SetPoint.number(), value, doing).await?;
         // The answer to a write repeats it; what counts is what the controller holds.
@@ -176,15 +178,6 @@ impl Ir301 {
             format!("told {target_c:.1} °C, holds {:.1} °C", decode_celsius(held)),
             "Check the range of the source and that the controller is in remote operation.",
         ))
-    }
-
-    fn limit(&self, doing: &str, why: String) -> DriverError {
-        DriverError::limit(
-            self.master.name(),
-            doing,
-            why,
-            "Change the levels, or the limit if the rig really allows it.",
-        )
     }
 }
 
@@ -212,31 +205,16 @@ impl Calibrator for Ir301 {
 
     async fn prepare(&mut self, settings: &CalibratorSettings) -> Result<(), DriverError> {
         self.settings = None;
-        if !settings.limit.0.is_finite() {
-            return Err(self.limit("preparing", "the configured limit is not a number".to_owned()));
-        }
+        check_limit(self.master.name(), settings)?;
         self.check_trouble("checking for errors").await?;
         self.settings = Some(settings.clone());
         Ok(())
     }
 
     async fn set_point(&mut self, target: Kelvin) -> Result<Kelvin, DriverError> {
-        let target_c = (target.celsius() * TENTHS_PER_C).round() / TENTHS_PER_C;
-        let doing = format!("setting {target_c:.1} °C");
-        let Some(settings) = &self.settings else {
-            return Err(
-                self.limit(&doing, "the limits are not known before the instrument is prepared".to_owned())
-            );
-        };
-        let limit_c = settings.limit.celsius();
-        if !target_c.is_finite() {
-            return Err(self.limit(&doing, "the set-point is not a number".to_owned()));
-        }
-        if target_c > limit_c {
-            return Err(self.limit(&doing, format!("the configured limit is {limit_c:.2} °C")));
-        }
-        self.check_trouble(&doing).await?;
-        Ok(Kelvin::from_celsius(self.set_confirmed(target_c, &doing).await?))
+        let target = SetPoint::new(self.master.name(), target, TENTHS_PER_C, self.settings.as_ref())?;
+        self.check_trouble(&target.doing).await?;
+        Ok(Kelvin::from_celsius(self.set_confirmed(target.celsius, &target.doing).await?))
     }
 
     async fn read(&mut self) -> Result<PlateReading, DriverError> {

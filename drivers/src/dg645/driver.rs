@@ -9,8 +9,8 @@ use super::value::Value;
 use super::{RANGE, event_status, instrument_status, status_byte};
 use crate::error::DriverError;
 use crate::instrument::{Begun, Identity, ShotProgram, TriggerUnit};
-use crate::trigger_limits::{self, LastInjection, TriggerLimits};
-use crate::wire::{LineHabits, Sign, Wire, WireSettings};
+use crate::trigger_limits::{self, LastInjection, PANEL_HINT, TriggerLimits};
+use crate::wire::{LineHabits, Sign, Tries, Wire, WireSettings};
 use async_trait::async_trait;
 use std::time::Duration;
 use tokio::time::{Instant, sleep, sleep_until};
@@ -20,9 +20,6 @@ const BAUD: u32 = 9600;
 
 /// Left between two lines: a line of 25 characters takes 26 ms at 9600 baud, and no source says how much the unit stores.
 const PACE: Duration = Duration::from_millis(30);
-
-/// Tries of one exchange that may be repeated without harm.
-const EXCHANGE_TRIES: u32 = 3;
 
 /// Codes that are read from the error queue at most: more are a queue that never empties.
 const ERRORS_MAX: u32 = 32;
@@ -93,19 +90,17 @@ impl Dg645 {
 
     /// A query that may be repeated without harm. After silence the error queue says whether the question was bad.
     async fn query(&mut self, key: Key, index: u32, doing: &str) -> Result<Value, DriverError> {
-        let mut tries = 0;
+        let mut tries = Tries::default();
         loop {
-            tries += 1;
             match self.query_once(key, index, doing).await {
-                Err(DriverError::Silent { who, doing, waited, tries: 1, hint })
-                    if tries >= EXCHANGE_TRIES =>
-                {
-                    return Err(DriverError::Silent { who, doing, waited, tries, hint });
+                Err(failure) => {
+                    let is_silent = matches!(failure, DriverError::Silent { .. });
+                    tries.again_if_reopened(failure)?;
+                    if is_silent {
+                        self.check_errors(doing).await?;
+                    }
                 }
-                Err(DriverError::Silent { tries: 1, .. }) => self.check_errors(doing).await?,
-                Err(DriverError::Garbled { .. } | DriverError::Reopened { .. }) if tries < EXCHANGE_TRIES => {
-                }
-                result => return result,
+                value => return value,
             }
         }
     }
@@ -266,12 +261,7 @@ impl Dg645 {
     }
 
     fn refused(&self, doing: &str, why: String) -> DriverError {
-        DriverError::refused(
-            self.wire.name(),
-            doing,
-            why,
-            "Check that nobody works at its front panel, and switch it off and on if it persists.",
-        )
+        DriverError::refused(self.wire.name(), doing, why, PANEL_HINT)
     }
 }
 
@@ -289,18 +279,13 @@ fn injection_after(program: &ShotProgram) -> Duration {
     Duration::from_nanos(program.period_ns * frames + program.injector_delay_ns)
 }
 
-fn decode_identity(text: &str) -> Option<Identity> {
-    let fields: Vec<_> = text.split(',').map(|field| field.trim().to_owned()).collect();
-    let [maker, model, serial, firmware] = <[String; 4]>::try_from(fields).ok()?;
-    (model == "DG645").then_some(Identity { maker, model, serial, firmware })
-}
-
 #[async_trait]
 impl TriggerUnit for Dg645 {
     async fn identify(&mut self) -> Result<Identity, DriverError> {
         let doing = "asking who it is";
         let answer = self.query(Key::Identity, 0, doing).await?.encode();
-        let identity = decode_identity(&answer).ok_or_else(|| {
+        let identity = Identity::of_fields(&answer).filter(|identity| identity.model == "DG645");
+        let identity = identity.ok_or_else(|| {
             self.wire.unexpected(doing, &answer, "expected maker, DG645, serial and version")
         })?;
         self.forget_errors(doing).await?;
@@ -312,15 +297,7 @@ impl TriggerUnit for Dg645 {
     async fn program(&mut self, program: &ShotProgram) -> Result<ShotProgram, DriverError> {
         let doing = "programming a burst";
         (self.programmed, self.next_cycle, self.is_ready) = (None, None, false);
-        let complaints = trigger_limits::complaints(program, &self.limits, &RANGE);
-        if !complaints.is_empty() {
-            return Err(DriverError::limit(
-                self.wire.name(),
-                doing,
-                complaints.into_iter().map(|complaint| complaint.why).collect::<Vec<_>>().join("; "),
-                "Change the times of the plan, or the limit if the rig really allows it.",
-            ));
-        }
+        trigger_limits::check(self.wire.name(), program, &self.limits, &RANGE)?;
         self.forget_errors(doing).await?;
         if self.is_busy(doing).await? {
             return Err(self.refused(doing, "the unit still makes pulses".to_owned()));

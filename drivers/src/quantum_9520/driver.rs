@@ -8,17 +8,14 @@ use super::{INJECTOR_CHANNEL, RANGE};
 use crate::error::DriverError;
 use crate::instrument::{Begun, Identity, ShotProgram, TriggerUnit};
 use crate::keyword::spell;
-use crate::trigger_limits::{self, LastInjection, TriggerLimits};
-use crate::wire::{LineHabits, Sign, Wire, WireSettings};
+use crate::trigger_limits::{self, LIMIT_HINT, LastInjection, PANEL_HINT, TriggerLimits};
+use crate::wire::{LineHabits, Sign, Tries, Wire, WireSettings};
 use async_trait::async_trait;
 use std::time::Duration;
 use tokio::time::Instant;
 
 /// Time that one command takes (manual, chapter 7: about 10 ms; faster sending may cause the unit not to respond).
 const COMMAND_TIME: Duration = Duration::from_millis(10);
-
-/// Tries of one exchange that may be repeated without harm.
-const EXCHANGE_TRIES: u32 = 3;
 
 /// Bit rate of the RS-232 port at delivery; the USB port comes with 38400.
 const BAUD: u32 = 115_200;
@@ -72,20 +69,12 @@ impl Quantum9520 {
 
     /// An exchange that may be repeated without harm.
     async fn exchange_patiently(&mut self, command: &Command, doing: &str) -> Result<Reply, DriverError> {
-        let mut tries = 0;
+        let mut tries = Tries::default();
         loop {
-            tries += 1;
             match self.exchange(command, doing).await {
-                Err(DriverError::Silent { who, doing, waited, tries: 1, hint })
-                    if tries >= EXCHANGE_TRIES =>
-                {
-                    return Err(DriverError::Silent { who, doing, waited, tries, hint });
-                }
-                Err(DriverError::Silent { tries: 1, .. }) => {}
-                Err(DriverError::Garbled { .. }) if tries < EXCHANGE_TRIES => {}
                 // What it holds is read back after every program, so that it may be said again.
-                Err(error) if error.is_reopened() && tries < EXCHANGE_TRIES => {}
-                result => return result,
+                Err(failure) => tries.again_if_reopened(failure)?,
+                reply => return reply,
             }
         }
     }
@@ -132,15 +121,6 @@ impl Quantum9520 {
         }
     }
 
-    fn check(&self, program: &ShotProgram) -> Result<(), DriverError> {
-        let complaints = trigger_limits::complaints(program, &self.limits, &RANGE);
-        if complaints.is_empty() {
-            return Ok(());
-        }
-        let why = complaints.into_iter().map(|complaint| complaint.why).collect::<Vec<_>>().join("; ");
-        Err(self.limit("programming a burst", why))
-    }
-
     /// The injections of one burst keep their distance by its cycle; this keeps it between two bursts.
     fn check_interval(&self, program: &ShotProgram) -> Result<(), DriverError> {
         if !program.inject {
@@ -150,7 +130,7 @@ impl Quantum9520 {
         let first = Instant::now() + Duration::from_nanos(first_ns + program.injector_delay_ns);
         match self.last_injection.complaint(first, &self.limits) {
             None => Ok(()),
-            Some(why) => Err(self.limit("starting a burst", why)),
+            Some(why) => Err(DriverError::limit(self.wire.name(), "starting a burst", why, LIMIT_HINT)),
         }
     }
 
@@ -185,28 +165,8 @@ impl Quantum9520 {
     }
 
     fn refused(&self, doing: &str, why: String) -> DriverError {
-        DriverError::refused(
-            self.wire.name(),
-            doing,
-            why,
-            "Check that nobody works at its front panel, and switch it off and on if it persists.",
-        )
+        DriverError::refused(self.wire.name(), doing, why, PANEL_HINT)
     }
-
-    fn limit(&self, doing: &str, why: String) -> DriverError {
-        DriverError::limit(
-            self.wire.name(),
-            doing,
-            why,
-            "Change the times of the plan, or the limit if the rig really allows it.",
-        )
-    }
-}
-
-fn decode_identity(text: &str) -> Option<Identity> {
-    let fields: Vec<_> = text.split(',').map(|field| field.trim().to_owned()).collect();
-    let [maker, model, serial, firmware] = <[String; 4]>::try_from(fields).ok()?;
-    Some(Identity { maker, model, serial, firmware })
 }
 
 #[async_trait]
@@ -218,7 +178,7 @@ impl TriggerUnit for Quantum9520 {
         self.tell(&Command::set(Key::Echo, Value::Flag(false)), "switching the echo off").await?;
         let answer = self.query(&Command::query(Key::Identity), doing).await?;
         let text = encode_value(Key::Identity, &answer);
-        decode_identity(&text).ok_or_else(|| {
+        Identity::of_fields(&text).ok_or_else(|| {
             self.wire.unexpected(doing, &text, "expected maker, model, serial number and version")
         })
     }
@@ -226,7 +186,7 @@ impl TriggerUnit for Quantum9520 {
     async fn program(&mut self, program: &ShotProgram) -> Result<ShotProgram, DriverError> {
         let doing = "programming a burst";
         self.programmed = None;
-        self.check(program)?;
+        trigger_limits::check(self.wire.name(), program, &self.limits, &RANGE)?;
         if self.is_running(doing).await? {
             return Err(self.refused(doing, "the unit still runs".to_owned()));
         }
