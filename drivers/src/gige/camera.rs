@@ -24,6 +24,8 @@ pub struct GigeCamera {
     reconnect: Duration,
     frames: Option<mpsc::Receiver<Result<Frame, DriverError>>>,
     counters: Vec<(&'static str, u64)>,
+    /// Who it was when it was asked first.
+    identity: Option<Identity>,
     /// The line is known to be gone: the camera must be opened anew.
     lost: bool,
 }
@@ -54,6 +56,7 @@ impl GigeCamera {
             reconnect: Duration::from_secs_f64(settings.reconnect_s.clamp(0.0, 3600.0)),
             frames: None,
             counters: Vec::new(),
+            identity: None,
             lost: false,
         };
         camera.order("opening it", Order::Open).await?;
@@ -115,13 +118,17 @@ impl GigeCamera {
 #[async_trait]
 impl Camera for GigeCamera {
     async fn identify(&mut self) -> Result<Identity, DriverError> {
-        self.order("asking who it is", Order::Identify).await
+        let identity = self.order("asking who it is", Order::Identify).await?;
+        self.identity = Some(identity.clone());
+        Ok(identity)
     }
 
     async fn prepare(&mut self, settings: &CameraSettings) -> Result<CameraSettings, DriverError> {
         self.frames = None;
         if self.lost {
             self.reopen().await?;
+            let found = self.order("asking who it is", Order::Identify).await?;
+            is_same(&self.who, self.identity.as_ref(), &found)?;
         }
         self.order("preparing", |answer| Order::Prepare(settings.clone(), answer)).await
     }
@@ -187,5 +194,39 @@ impl Camera for GigeCamera {
     /// A camera that is gone counts as safe: it makes no light and no pulse, and stops its stream by itself.
     async fn make_safe(&mut self) -> Result<(), DriverError> {
         self.stop().await
+    }
+}
+
+/// Another camera at the old address has another calibration: its counts would mean other temperatures.
+fn is_same(who: &str, before: Option<&Identity>, found: &Identity) -> Result<(), DriverError> {
+    let Some(before) = before else { return Ok(()) };
+    if (&before.model, &before.serial) == (&found.model, &found.serial) {
+        return Ok(());
+    }
+    let why = format!(
+        "{} {} answers where {} {} did before",
+        found.model, found.serial, before.model, before.serial
+    );
+    let hint = "Plug the right camera in again, or start a new campaign.";
+    Err(DriverError::refused(who, "asking who it is after it was gone", why, hint))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_camera_at_the_same_address_is_refused() {
+        let camera = |serial: &str| Identity {
+            maker: "maker".to_owned(),
+            model: "X6900sc".to_owned(),
+            serial: serial.to_owned(),
+            firmware: "1".to_owned(),
+        };
+        assert!(is_same("camera", None, &camera("7")).is_ok());
+        let updated = Identity { firmware: "2".to_owned(), ..camera("7") };
+        assert!(is_same("camera", Some(&camera("7")), &updated).is_ok());
+        let error = is_same("camera", Some(&camera("7")), &camera("8")).unwrap_err();
+        assert!(error.to_string().contains("X6900sc 8 answers where X6900sc 7"), "{error}");
     }
 }
