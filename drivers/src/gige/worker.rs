@@ -1,8 +1,9 @@
 //! The thread of a GigE camera: orders in, answers and frames out.
 
 use super::GigeSettings;
-use super::device::{Device, Got};
+use super::device::Device;
 use super::sequence::Numbers;
+use super::stream::Got;
 use crate::error::DriverError;
 use crate::instrument::{CameraClock, CameraSettings, Frame, Identity};
 use crate::quantity::Kelvin;
