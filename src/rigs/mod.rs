@@ -271,7 +271,6 @@ impl Prepared {
         Ok(((model.drive)(wire.reopening(policy)), Some(plate)))
     }
 
-    /// Opens the sources of process values. One that is not required and cannot be opened is told once and left out.
     async fn open_camera(
         &self,
         plate: Option<Arc<Mutex<Plate>>>,
