@@ -518,6 +518,25 @@ fn a_wish_to_stop_is_obeyed_within_a_second() {
     }
 }
 
+/// While the plate is awaited, however seldom it is looked at.
+#[test]
+fn a_wish_to_stop_is_obeyed_while_the_plate_heats_up() {
+    let wish = Duration::from_secs(305);
+    let preset = Preset::small().calibrated().with("soak.poll_s", "20.0");
+    let after = run_with(&preset, |instruments, stop| {
+        let stop = stop.clone();
+        tokio::spawn(async move {
+            tokio::time::sleep(wish).await;
+            stop.stop();
+        });
+        instruments
+    });
+    assert_eq!(*after.ended.as_ref().unwrap(), Ended::Stopped);
+    after.assert_safe();
+    let took = Duration::from_nanos(after.ended_ns) - wish;
+    assert!(took < Duration::from_secs(1), "{took:?}");
+}
+
 /// A camera that is gone once and found again after a while.
 struct GoneOnce {
     inner: Box<dyn Camera>,

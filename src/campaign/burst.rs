@@ -8,7 +8,7 @@ use ditd_drivers::error::DriverError;
 use ditd_drivers::instrument::{Begun, CameraClock, Frame, ShotProgram};
 use ditd_drivers::quantity::Kelvin;
 use std::time::Duration;
-use tokio::time::{Instant, sleep};
+use tokio::time::Instant;
 
 /// Added to the planned time of a frame before it counts as missing: read-out, transport, and the time between
 /// the trigger unit's start and its confirmation (two commands of 10 ms, 9520 manual).
@@ -216,9 +216,11 @@ impl Engine<'_> {
             cycle + 1,
             program.cycles
         );
+        self.heed(Wish::Pause)?;
         self.await_due(due, READY_LEAD, &reason).await?;
         let due = self.instruments.trigger.ready_cycle(cycle, due).await?.max(due);
         self.await_due(due, WISH_POLL, &reason).await?;
+        self.heed(Wish::Pause)?;
         if program.inject {
             // Whatever happens from here on, fuel may come.
             let spray = program.frame_ns(0, program.frames_per_cycle() - 1) - program.frame_ns(0, 0);
@@ -229,19 +231,6 @@ impl Engine<'_> {
         let fired = fired.earliest;
         matcher.begin(cycle, u64::try_from((fired - self.started).as_nanos()).unwrap_or(u64::MAX));
         Ok(fired.checked_sub(offset).unwrap_or(fired))
-    }
-
-    /// Waits until `lead` before `due`, with an ear for wishes.
-    async fn await_due(&mut self, due: Instant, lead: Duration, reason: &str) -> Step<()> {
-        loop {
-            self.heed(Wish::Pause)?;
-            let left = due.saturating_duration_since(Instant::now());
-            if left <= lead {
-                return Ok(());
-            }
-            self.progress.waiting(reason, Some(left.as_secs_f64()));
-            sleep((left - lead).min(WISH_POLL)).await;
-        }
     }
 
     #[expect(

@@ -300,13 +300,31 @@ impl Engine<'_> {
     async fn await_flushed(&mut self, program: &ShotProgram) -> Step<()> {
         let Some(last) = self.last_injection.filter(|_| program.inject) else { return Ok(()) };
         let ready = last + Duration::from_nanos(program.cycle_ns());
+        self.await_due(ready, Duration::ZERO, "pause, residual vapour is flushed out").await
+    }
+
+    /// Waits until `lead` before `due`, with an ear for wishes, and says what for.
+    async fn await_due(&mut self, due: Instant, lead: Duration, reason: &str) -> Step<()> {
         loop {
-            let left = ready.saturating_duration_since(Instant::now());
-            if left.is_zero() {
+            let left = due.saturating_duration_since(Instant::now());
+            if left <= lead {
                 return Ok(());
             }
             self.heed(Wish::Pause)?;
-            self.progress.waiting("pause, residual vapour is flushed out", Some(left.as_secs_f64()));
+            self.progress.waiting(reason, Some(left.as_secs_f64()));
+            sleep((left - lead).min(WISH_POLL)).await;
+        }
+    }
+
+    /// Waits for so long, with an ear for wishes.
+    async fn pause(&self, time: Duration) -> Step<()> {
+        let until = Instant::now() + time;
+        loop {
+            self.heed(Wish::Pause)?;
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(());
+            }
             sleep(left.min(WISH_POLL)).await;
         }
     }
@@ -343,7 +361,7 @@ impl Engine<'_> {
                     }));
                 }
             }
-            sleep(Duration::from_secs_f64(self.config.soak.poll_s)).await;
+            self.pause(Duration::from_secs_f64(self.config.soak.poll_s)).await?;
         }
     }
 
