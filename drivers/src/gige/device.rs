@@ -11,9 +11,18 @@ use crate::error::DriverError;
 use crate::instrument::{CameraClock, Identity};
 use aravis::prelude::*;
 use aravis::{Camera, GvStreamOption, RangeCheckPolicy};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::time::Instant;
+
+/// Held by whoever reads a camera's description: the library breaks when two are read at once (seen with 0.8.26: eight
+/// cameras of one program).
+static READING: Mutex<()> = Mutex::new(());
+
+/// Waits until no other camera's description is being read.
+pub(super) fn reading_alone() -> MutexGuard<'static, ()> {
+    READING.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// GigE Vision's control channel privilege register: bit 0 exclusive, bit 1 control.
 const CONTROL_PRIVILEGE: u64 = 0x0A00;
@@ -45,12 +54,14 @@ impl Device {
     pub(super) fn open(who: &str, address: &str, settings: &GigeSettings) -> Result<Self, DriverError> {
         let names = Names::new(settings.preset, &settings.features)
             .map_err(|why| refused(who, "reading the settings", &why, "Correct [camera.gige]."))?;
+        let reading = reading_alone();
         let camera = Camera::new(Some(address)).map_err(|error| DriverError::Missing {
             who: who.to_owned(),
             why: error.message().to_owned(),
             hint: "Check power, cable, the camera's address (`ditd devices` lists what answers), and that no other program controls it."
                 .to_owned(),
         })?;
+        drop(reading);
         camera.set_range_check_policy(RangeCheckPolicy::Enable);
         if !settings.packet_socket {
             camera.gv_set_stream_options(GvStreamOption::PACKET_SOCKET_DISABLED);

@@ -1,6 +1,6 @@
 //! The stream of a GigE camera: begun, ended, and its frames one by one.
 
-use super::device::{Device, refused};
+use super::device::{Device, reading_alone, refused};
 use super::frames::frame_of;
 use super::names::Purpose;
 use super::orders::Prepared;
@@ -82,7 +82,11 @@ impl Device {
             self.camera.execute_command(arm).map_err(|error| self.trouble(DOING, &error))?;
         }
         self.camera.start_acquisition().map_err(|error| self.trouble(DOING, &error))?;
-        let parser = prepared.chunks.then(|| self.camera.create_chunk_parser()).flatten();
+        let parser = prepared.chunks.then(|| {
+            let _reading = reading_alone();
+            self.camera.create_chunk_parser()
+        });
+        let parser = parser.flatten();
         self.numbers.restart();
         self.running = Some(Running { stream, parser, prepared, dropped: 0 });
         Ok(())
