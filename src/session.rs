@@ -7,7 +7,7 @@ pub use kinds::{Ask, Figure, acquire_figure};
 use crate::archive::Archive;
 use crate::calibrate::{self, CalibrateError, Calibrated, Calibration, Figures};
 use crate::campaign::{
-    CampaignError, Ended, Engine, Outcome, Progress, RecordError, Recorder, StopFlag, header,
+    CampaignError, Ended, Engine, Origins, Outcome, Progress, RecordError, Recorder, StopFlag, header,
 };
 use crate::clock::Clock;
 use crate::config::{Config, ConfigError};
@@ -663,6 +663,7 @@ fn campaign(
             elapsed_before_ns: prepared.beginning().elapsed_ns,
             // Another process may have injected just before this one began.
             last_injection: prepared.beginning().resumed.then_some(started),
+            origins: Origins::default(),
         };
         let outcome = Box::pin(engine.run(start)).await;
         Ok::<_, OpenError>((outcome, started.elapsed().as_secs_f64()))

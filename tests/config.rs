@@ -133,6 +133,7 @@ fn limits_and_impossible_combinations_are_refused_with_their_key() {
         ("saturation_count", "saturation_count = 20000", "camera.saturation_count"),
         ("limit_k", "limit_k = 500.0", "campaign.levels_k"),
         ("hold_s", "hold_s = 1.0", "soak.hold_s"),
+        ("poll_s", "poll_s = 61.0", "soak.poll_s"),
         ("epoch", "epoch = \"yesterday\"", "campaign.epoch"),
     ] {
         let message = refusal(&with(line, replacement));

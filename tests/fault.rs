@@ -10,7 +10,7 @@
 mod common;
 
 use common::{Preset, folder};
-use ditd::campaign::{Ended, Engine, Instruments, Monitors, Outcome, Recorder, StopFlag, header};
+use ditd::campaign::{Ended, Engine, Instruments, Monitors, Origins, Outcome, Recorder, StopFlag, header};
 use ditd::console::Console;
 use ditd::journal::{self, Record};
 use ditd::plan::Plan;
@@ -19,7 +19,10 @@ use ditd::rigs::{View, calibrator_socket};
 use ditd::session::SessionError;
 use ditd_drivers::TRIGGER_UNITS;
 use ditd_drivers::error::DriverError;
-use ditd_drivers::instrument::{Identity, ShotKind, ShotProgram, TriggerUnit};
+use ditd_drivers::instrument::{
+    Begun, Camera, CameraSettings, Frame, Identity, ShotKind, ShotProgram, TriggerUnit,
+};
+use ditd_drivers::quantity::Kelvin;
 use ditd_drivers::wire::Wire;
 use ditd_sim::rig::camera::{SimCamera, WorldState};
 use ditd_sim::rig::plate::Plate;
@@ -51,11 +54,11 @@ struct After {
 
 /// Runs the campaign of a preset, calibration aside, on instruments that can be looked into.
 fn run(preset: &Preset) -> After {
-    run_with(preset, |instruments| instruments)
+    run_with(preset, |instruments, _| instruments)
 }
 
-/// The same with instruments that something was put in between.
-fn run_with(preset: &Preset, between: impl FnOnce(Instruments) -> Instruments) -> After {
+/// The same with instruments that something was put in between, within the rig's time and with the operator's wish at hand.
+fn run_with(preset: &Preset, between: impl FnOnce(Instruments, &StopFlag) -> Instruments) -> After {
     let (source, config) = preset.parsed();
     let rig = config.rig.clone().unwrap();
     let plan = Plan::of_map(&config);
@@ -103,24 +106,27 @@ fn run_with(preset: &Preset, between: impl FnOnce(Instruments) -> Instruments) -
             rig.faults.clone(),
             WorldState::default(),
             pulses,
-        );
+        )
+        .clock_from(start);
         let instruments = Instruments {
             plate: calibrator,
             trigger: (model.drive)(Wire::over(trigger_wire, "trigger unit at sim"), config.trigger_limits()),
             camera: Box::new(camera),
             monitors: Monitors::default(),
         };
-        let mut instruments = between(instruments);
+        let stop = StopFlag::default();
+        let mut instruments = between(instruments, &stop);
         let engine = Engine {
             config: &config,
             plan: &plan,
             instruments: &mut instruments,
             recorder: &mut recorder,
             progress: &mut Console::new("fault"),
-            stop: StopFlag::default(),
+            stop,
             started: start,
             elapsed_before_ns: 0,
             last_injection: None,
+            origins: Origins::default(),
         };
         let first =
             header(&plan, config.campaign.epoch.clone(), ditd::run_folder::sha256(source.text.as_bytes()));
@@ -404,6 +410,203 @@ fn as_many_frames_as_planned_are_not_enough() {
     }
 }
 
+/// The first frame of a burst lost and one too many a period after its last: as many frames as there should be, evenly
+/// spaced, and every label one place off. Only the time of the unit's start tells.
+#[test]
+fn a_burst_that_lacks_its_first_frame_and_has_one_more_at_its_end_is_seen() {
+    for driver in DRIVERS {
+        for (cycles, levels) in [("1", 0..3), ("3", 0..1)] {
+            for level in levels {
+                // 4 frames a cycle.
+                let first = level * 4;
+                let faults = format!(
+                    "{{ kind = \"drops-camera-pulse\", pulse = {first} }}, \
+                     {{ kind = \"doubles-camera-pulse\", pulse = {}, after_s = 0.02 }}",
+                    first + 3
+                );
+                let preset = trigger_fault(&faults).with("trigger.driver", driver);
+                let after = run(&preset.with("campaign.cycles", cycles));
+                after.assert_complete().assert_safe().assert_labels();
+                assert_eq!(after.retaken(), 1, "{driver}, {cycles} cycles, level {level}");
+            }
+        }
+    }
+}
+
+/// A unit whose line is so slow that its start is not known to a period: the first burst is taken twice and then known,
+/// wherever the fault comes.
+#[test]
+fn a_first_frame_is_missed_on_a_slow_line_too() {
+    for (pulse, retaken) in [(None, 1), (Some(0), 2), (Some(8), 2), (Some(12), 2)] {
+        let faults = pulse.map_or_else(String::new, |pulse| {
+            format!(
+                "{{ kind = \"drops-camera-pulse\", pulse = {pulse} }}, \
+                 {{ kind = \"doubles-camera-pulse\", pulse = {}, after_s = 0.02 }}",
+                pulse + 3
+            )
+        });
+        let preset = trigger_fault(&faults).with("campaign.cycles", "1").with("campaign.retakes_max", "2");
+        let after = run_with(&preset, |instruments, _| {
+            let Instruments { plate, trigger, camera, monitors } = instruments;
+            Instruments { plate, trigger: Box::new(SlowToBegin(trigger)), camera, monitors }
+        });
+        after.assert_complete().assert_safe().assert_labels();
+        assert_eq!(after.retaken(), retaken, "{pulse:?}");
+    }
+}
+
+/// A trigger unit that begins 35 ms after it was told, and says so another 30 ms later.
+struct SlowToBegin(Box<dyn TriggerUnit>);
+
+#[async_trait::async_trait]
+impl TriggerUnit for SlowToBegin {
+    async fn identify(&mut self) -> Result<Identity, DriverError> {
+        self.0.identify().await
+    }
+    async fn program(&mut self, program: &ShotProgram) -> Result<ShotProgram, DriverError> {
+        self.0.program(program).await
+    }
+    async fn start(&mut self) -> Result<Begun, DriverError> {
+        let ms = Duration::from_millis;
+        let begun = self.0.start().await?;
+        let earliest = begun.earliest.checked_sub(ms(35)).unwrap();
+        Ok(Begun { earliest, latest: begun.latest + ms(30) })
+    }
+    async fn running(&mut self) -> Result<bool, DriverError> {
+        self.0.running().await
+    }
+    async fn stop(&mut self) -> Result<(), DriverError> {
+        self.0.stop().await
+    }
+    async fn make_safe(&mut self) -> Result<(), DriverError> {
+        self.0.make_safe().await
+    }
+}
+
+/// The wish to stop, whenever it comes within a cycle: in the safe state, plate included, within a second.
+#[test]
+fn a_wish_to_stop_is_obeyed_within_a_second() {
+    for driver in DRIVERS {
+        let at_s = in_the_pause_after(1, driver);
+        // The next cycle begins some ten seconds after this time: into the pause, its end, the frames and beyond.
+        for later in 0..24 {
+            let wish = Duration::from_secs_f64(at_s + 5.0 + 0.25 * f64::from(later));
+            let preset = Preset::small().calibrated().with("trigger.driver", driver);
+            let after = run_with(&preset, |instruments, stop| {
+                let stop = stop.clone();
+                tokio::spawn(async move {
+                    tokio::time::sleep(wish).await;
+                    stop.stop();
+                });
+                instruments
+            });
+            assert_eq!(*after.ended.as_ref().unwrap(), Ended::Stopped);
+            after.assert_safe().assert_labels();
+            let took = Duration::from_nanos(after.ended_ns) - wish;
+            let last = after.pulses.last().unwrap().at_ns;
+            let fired = Duration::from_nanos(last).saturating_sub(wish);
+            eprintln!(
+                "{driver}: {:.3} s after the wish, the last pulse {:.3} s",
+                took.as_secs_f64(),
+                fired.as_secs_f64()
+            );
+            assert!(
+                took < Duration::from_secs(1) && fired < Duration::from_secs(1),
+                "{driver}: {took:?}, {fired:?}"
+            );
+        }
+    }
+}
+
+/// While the plate is awaited, however seldom it is looked at.
+#[test]
+fn a_wish_to_stop_is_obeyed_while_the_plate_heats_up() {
+    let wish = Duration::from_secs(305);
+    let preset = Preset::small().calibrated().with("soak.poll_s", "20.0");
+    let after = run_with(&preset, |instruments, stop| {
+        let stop = stop.clone();
+        tokio::spawn(async move {
+            tokio::time::sleep(wish).await;
+            stop.stop();
+        });
+        instruments
+    });
+    assert_eq!(*after.ended.as_ref().unwrap(), Ended::Stopped);
+    after.assert_safe();
+    let took = Duration::from_nanos(after.ended_ns) - wish;
+    assert!(took < Duration::from_secs(1), "{took:?}");
+}
+
+/// A camera that is gone once and found again after a while.
+struct GoneOnce {
+    inner: Box<dyn Camera>,
+    /// Frames until it goes.
+    frames: u32,
+    /// How long it is looked for.
+    looked_for: Duration,
+    gone: bool,
+}
+
+#[async_trait::async_trait]
+impl Camera for GoneOnce {
+    async fn identify(&mut self) -> Result<Identity, DriverError> {
+        self.inner.identify().await
+    }
+    async fn prepare(&mut self, settings: &CameraSettings) -> Result<CameraSettings, DriverError> {
+        if std::mem::take(&mut self.gone) {
+            tokio::time::sleep(self.looked_for).await;
+        }
+        self.inner.prepare(settings).await
+    }
+    async fn shutter(&mut self, closed: bool) -> Result<Option<Kelvin>, DriverError> {
+        self.inner.shutter(closed).await
+    }
+    async fn start(&mut self) -> Result<(), DriverError> {
+        self.inner.start().await
+    }
+    async fn frame(&mut self, deadline: Duration) -> Result<Frame, DriverError> {
+        let frame = self.inner.frame(deadline).await?;
+        self.frames = self.frames.wrapping_sub(1);
+        if self.frames == 0 {
+            self.gone = true;
+            let text = |text: &str| text.to_owned();
+            let (who, doing) = (text("camera"), text("waiting for a frame"));
+            return Err(DriverError::lost(who, doing, text("no power"), text("Plug it in.")));
+        }
+        Ok(frame)
+    }
+    async fn stop(&mut self) -> Result<(), DriverError> {
+        self.inner.stop().await
+    }
+    async fn make_safe(&mut self) -> Result<(), DriverError> {
+        self.inner.make_safe().await
+    }
+}
+
+/// While a camera is looked for, nobody else looks at the plate: its cutout trips, and the campaign ends then and not when
+/// the camera is back.
+#[test]
+fn the_plate_is_watched_while_a_camera_is_looked_for() {
+    let gone = |preset: &Preset| {
+        run_with(preset, |instruments, _| {
+            let Instruments { plate, trigger, camera, monitors } = instruments;
+            let looked_for = Duration::from_secs(30);
+            let camera = Box::new(GoneOnce { inner: camera, frames: 6, looked_for, gone: false });
+            Instruments { plate, trigger, camera, monitors }
+        })
+    };
+    let found = gone(&Preset::small().calibrated());
+    found.assert_complete().assert_safe().assert_labels();
+    let lost_ns = found.pulses[5].at_ns;
+    let trips_s = Duration::from_nanos(lost_ns).as_secs_f64() + 10.0;
+    let after = gone(&plate_fault(&format!("{{ kind = \"cutout-trips\", at_s = {trips_s:?} }}")));
+    assert_eq!(after.code(), 4, "{}", after.error());
+    after.assert_safe();
+    let late_s = Duration::from_nanos(after.ended_ns).as_secs_f64() - trips_s;
+    // The plate is read every second, and the safe state takes some tenths.
+    assert!((0.0..3.0).contains(&late_s), "{late_s} s after the cutout tripped");
+}
+
 /// A command that the unit does not obey, whether it says so or not, ends the campaign before a single wrong shot.
 #[test]
 fn a_command_that_is_not_obeyed_ends_safely() {
@@ -638,12 +841,13 @@ impl TriggerUnit for LosesLine {
         self.lost("program")?;
         self.inner.program(program).await
     }
-    async fn start(&mut self) -> Result<(), DriverError> {
+    async fn start(&mut self) -> Result<Begun, DriverError> {
         let lost = self.lost("start");
-        if lost.is_err() && !self.obeys {
-            return lost;
+        match lost {
+            Ok(()) => self.inner.start().await,
+            Err(lost) if self.obeys => self.inner.start().await.and(Err(lost)),
+            Err(lost) => Err(lost),
         }
-        self.inner.start().await.and(lost)
     }
     async fn running(&mut self) -> Result<bool, DriverError> {
         self.inner.running().await
@@ -662,7 +866,7 @@ impl TriggerUnit for LosesLine {
 }
 
 fn loses_line(act: &'static str, skip: u32, times: u32, obeys: bool) -> After {
-    run_with(&Preset::small().calibrated(), |instruments| {
+    run_with(&Preset::small().calibrated(), |instruments, _| {
         let Instruments { plate, trigger, camera, monitors } = instruments;
         let trigger = Box::new(LosesLine { inner: trigger, act, skip, times, obeys });
         Instruments { plate, trigger, camera, monitors }

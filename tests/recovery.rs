@@ -9,7 +9,7 @@
 mod common;
 
 use common::{Preset, Ran, assert_replays, copy, folder};
-use ditd::campaign::{Ended, Engine, Progress, Recorder, StopFlag, header};
+use ditd::campaign::{Ended, Engine, Origins, Progress, Recorder, StopFlag, header};
 use ditd::clock::Clock;
 use ditd::journal::{self, Record};
 use ditd::plan::Plan;
@@ -256,6 +256,7 @@ fn wished(at: u32, times: u32) -> (tempfile::TempDir, Ended) {
             started: tokio::time::Instant::now(),
             elapsed_before_ns: 0,
             last_injection: None,
+            origins: Origins::default(),
         };
         let first = header(&plan, config.campaign.epoch.clone(), sha256(source.text.as_bytes()));
         Box::pin(engine.run(Some(first))).await.ended.unwrap()

@@ -47,6 +47,61 @@ fn quick() -> Preset {
         .with("trigger.injection_interval_limit_s", "0.3")
         .with("rig.chamber.residual.decay_s", "0.02")
         .with("rig.plate.time_factor", "1000.0")
+        // Both rigs see the same world, however well it is rendered.
+        .with("rig.target_error", "5e-2")
+}
+
+/// Claims that are tried at the same time: each waits for lines and plates nearly all of it.
+fn at_once(claims: &[(&str, fn())]) {
+    std::thread::scope(|scope| {
+        let tried: Vec<_> = claims
+            .iter()
+            .map(|(name, claim)| {
+                let thread = std::thread::Builder::new().name((*name).to_owned());
+                (name, thread.spawn_scoped(scope, claim).unwrap())
+            })
+            .collect();
+        let failed: Vec<_> =
+            tried.into_iter().filter_map(|(name, thread)| thread.join().is_err().then_some(name)).collect();
+        assert!(failed.is_empty(), "{failed:?}");
+    });
+}
+
+/// The names of functions and themselves.
+macro_rules! claims {
+    ($($claim:path),+ $(,)?) => { &[$((stringify!($claim), $claim as fn())),+] };
+}
+
+#[test]
+fn sockets_and_makes() {
+    at_once(claims![
+        a_packet_socket_gives_the_map_of_the_rig_inside,
+        an_ordinary_socket_gives_the_map_of_the_rig_inside,
+        a_flir_differs_and_its_counts_do_not,
+        a_telops_differs_and_its_counts_do_not,
+    ]);
+}
+
+#[test]
+fn packets_and_answers() {
+    at_once(claims![
+        lost_packets_are_asked_for_again,
+        frames_with_lost_packets_are_taken_again,
+        control_answers_that_are_lost_or_late_harm_nothing,
+        packets_in_disorder_twice_or_cut_harm_nothing,
+    ]);
+}
+
+#[test]
+fn cameras_and_lines_that_go() {
+    at_once(claims![
+        a_camera_that_restarts_is_found_again,
+        a_camera_that_does_not_come_back_ends_the_campaign_safely,
+        a_camera_that_another_program_has_is_named,
+        a_stalled_stream_is_waited_for_and_its_cycles_taken_again,
+        a_plates_line_that_is_pulled_is_named_and_the_rest_is_made_safe,
+        a_trigger_units_line_that_is_pulled_is_named_and_the_rest_is_made_safe,
+    ]);
 }
 
 /// The folder of a calibration of this rig, taken once inside the program.
@@ -192,38 +247,42 @@ fn transport(wired: &Wired, name: &str) -> u64 {
     counters.sum()
 }
 
-#[test]
-fn packet_socket_and_ordinary_socket_give_the_map_of_the_rig_inside() {
-    for (host, packet_socket) in [(41, "true"), (42, "false")] {
-        let wired = over_wires(host, |preset| {
-            preset
-                .with("camera.gige.packet_socket", packet_socket)
-                .with("camera.gige.offset_correction", "true")
-        });
-        assert_right(&wired);
-        assert_eq!(wired.stats.corrections, 3, "one before each level, none inside");
-        assert_eq!(wired.stats.spoilings, 0);
-        let frames =
-            wired.ran.records().iter().filter(|record| matches!(record, Record::Frame { .. })).count();
-        // Blanks and sprays; discarded frames are not recorded.
-        assert!(frames >= 3 * 3 * 3, "{frames}");
-    }
+fn a_packet_socket_gives_the_map_of_the_rig_inside() {
+    assert_socket(41, "true");
 }
 
-#[test]
-fn the_makes_differ_and_the_counts_do_not() {
-    // The trigger's names of a FLIR are not public: those of the simulated one are given as a user would.
-    let flir = r#"{ preset = "flir", trigger_source = "External", features = { trigger-source = "SyncSource", trigger-activation = "SyncEdge" } }"#;
-    let telops = r#"{ preset = "telops" }"#;
-    for (host, make, settings) in [(43, "\"flir\"", flir), (44, "\"telops\"", telops)] {
-        let wired =
-            over_wires(host, |preset| preset.with("camera.gige", settings).with("rig.gige.preset", make));
-        assert_right(&wired);
-        assert_eq!(wired.stats.spoilings, 0, "the factory gain was overwritten");
-    }
+fn an_ordinary_socket_gives_the_map_of_the_rig_inside() {
+    assert_socket(42, "false");
 }
 
-#[test]
+fn assert_socket(host: u8, packet_socket: &str) {
+    let wired = over_wires(host, |preset| {
+        preset.with("camera.gige.packet_socket", packet_socket).with("camera.gige.offset_correction", "true")
+    });
+    assert_right(&wired);
+    assert_eq!(wired.stats.corrections, 3, "one before each level, none inside");
+    assert_eq!(wired.stats.spoilings, 0);
+    let frames = wired.ran.records().iter().filter(|record| matches!(record, Record::Frame { .. })).count();
+    // Blanks and sprays; discarded frames are not recorded.
+    assert!(frames >= 3 * 3 * 3, "{frames}");
+}
+
+/// The trigger's names of a FLIR are not public: those of the simulated one are given as a user would.
+fn a_flir_differs_and_its_counts_do_not() {
+    let settings = r#"{ preset = "flir", trigger_source = "External", features = { trigger-source = "SyncSource", trigger-activation = "SyncEdge" } }"#;
+    assert_make(43, "\"flir\"", settings);
+}
+
+fn a_telops_differs_and_its_counts_do_not() {
+    assert_make(44, "\"telops\"", r#"{ preset = "telops" }"#);
+}
+
+fn assert_make(host: u8, make: &str, settings: &str) {
+    let wired = over_wires(host, |preset| preset.with("camera.gige", settings).with("rig.gige.preset", make));
+    assert_right(&wired);
+    assert_eq!(wired.stats.spoilings, 0, "the factory gain was overwritten");
+}
+
 fn lost_packets_are_asked_for_again() {
     let wired = over_wires(45, |preset| {
         preset
@@ -237,7 +296,6 @@ fn lost_packets_are_asked_for_again() {
 }
 
 /// Without resends every loss costs its cycle, and only its cycle.
-#[test]
 fn frames_with_lost_packets_are_taken_again() {
     let wired = over_wires(46, |preset| {
         preset
@@ -252,7 +310,6 @@ fn frames_with_lost_packets_are_taken_again() {
 }
 
 /// Answers of the camera's control channel that are lost or late: asked again, and never taken for other ones.
-#[test]
 fn control_answers_that_are_lost_or_late_harm_nothing() {
     let wired = over_wires(59, |preset| {
         preset.with(
@@ -264,7 +321,6 @@ fn control_answers_that_are_lost_or_late_harm_nothing() {
     assert!(wired.stats.answers_lost > 0 && wired.stats.answers_late > 0, "{:?}", wired.stats);
 }
 
-#[test]
 fn packets_in_disorder_twice_or_cut_harm_nothing() {
     let wired = over_wires(47, |preset| {
         preset
@@ -309,7 +365,6 @@ fn jumps_of_numbers_and_clocks_shift_no_label() {
 }
 
 /// The camera restarts in the middle of a level: all its registers are lost, and so is our control of it.
-#[test]
 fn a_camera_that_restarts_is_found_again() {
     let wired = over_wires(53, |preset| {
         preset
@@ -324,7 +379,6 @@ fn a_camera_that_restarts_is_found_again() {
     assert!(looked);
 }
 
-#[test]
 fn a_camera_that_does_not_come_back_ends_the_campaign_safely() {
     let wired = over_wires(54, |preset| {
         preset
@@ -336,7 +390,6 @@ fn a_camera_that_does_not_come_back_ends_the_campaign_safely() {
     assert!(!words.contains("THE SAFE STATE COULD NOT BE CONFIRMED"), "{words}");
 }
 
-#[test]
 fn a_camera_that_another_program_has_is_named() {
     let wired = over_wires(55, |preset| preset.with("rig.gige.fault", "[{ kind = \"access-denied\" }]"));
     let words = assert_safe_or_unopened(&wired);
@@ -348,7 +401,6 @@ fn assert_safe_or_unopened(wired: &Wired) -> String {
     wired.ran.error().to_string()
 }
 
-#[test]
 fn a_stalled_stream_is_waited_for_and_its_cycles_taken_again() {
     let wired = over_wires(56, |preset| {
         preset
@@ -359,28 +411,30 @@ fn a_stalled_stream_is_waited_for_and_its_cycles_taken_again() {
     assert!(retaken(&wired) > 0);
 }
 
+fn a_plates_line_that_is_pulled_is_named_and_the_rest_is_made_safe() {
+    assert_pulled(57, "plate", "plate calibrator at", "trigger unit at");
+}
+
+fn a_trigger_units_line_that_is_pulled_is_named_and_the_rest_is_made_safe() {
+    assert_pulled(58, "trigger", "trigger unit at", "plate calibrator at");
+}
+
 /// A line that is pulled out while the campaign is under way: an error that names it, and everything else safe.
-#[test]
-fn a_line_that_is_pulled_is_named_and_the_rest_is_made_safe() {
-    for (host, instrument, words) in
-        [(57, "plate", "plate calibrator at"), (58, "trigger", "trigger unit at")]
-    {
-        let (never, wait) = std::sync::mpsc::channel::<()>();
-        let wired = over_wires_then(
-            host,
-            |preset| preset.with("campaign.cycles", "100"),
-            move |served| {
-                // Some cycles into the first level.
-                let _ = wait.recv_timeout(Duration::from_secs(5));
-                served.unplug(instrument);
-                drop(never);
-            },
-        );
-        let error = assert_safe(&wired);
-        assert!(error.contains(words), "{error}");
-        assert!(error.contains("THE SAFE STATE COULD NOT BE CONFIRMED"), "{error}");
-        assert_eq!(wired.ran.error().code(), 3, "{error}");
-        let other = if instrument == "plate" { "trigger unit at" } else { "plate calibrator at" };
-        assert!(!error.contains(other), "the {other} it could be reached: {error}");
-    }
+fn assert_pulled(host: u8, instrument: &str, words: &str, other: &str) {
+    let (never, wait) = std::sync::mpsc::channel::<()>();
+    let wired = over_wires_then(
+        host,
+        |preset| preset.with("campaign.cycles", "100"),
+        move |served| {
+            // Some cycles into the first level.
+            let _ = wait.recv_timeout(Duration::from_secs(5));
+            served.unplug(instrument);
+            drop(never);
+        },
+    );
+    let error = assert_safe(&wired);
+    assert!(error.contains(words), "{error}");
+    assert!(error.contains("THE SAFE STATE COULD NOT BE CONFIRMED"), "{error}");
+    assert_eq!(wired.ran.error().code(), 3, "{error}");
+    assert!(!error.contains(other), "the {other} it could be reached: {error}");
 }

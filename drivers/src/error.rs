@@ -110,6 +110,49 @@ pub enum DriverError {
     },
 }
 
+/// The variants of four parts, as their messages read: who, doing what, why, what to try.
+impl DriverError {
+    /// See [`DriverError::Refused`].
+    pub fn refused(
+        who: impl Into<String>,
+        doing: impl Into<String>,
+        why: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> Self {
+        Self::Refused { who: who.into(), doing: doing.into(), why: why.into(), hint: hint.into() }
+    }
+
+    /// See [`DriverError::Limit`].
+    pub fn limit(
+        who: impl Into<String>,
+        doing: impl Into<String>,
+        why: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> Self {
+        Self::Limit { who: who.into(), doing: doing.into(), why: why.into(), hint: hint.into() }
+    }
+
+    /// See [`DriverError::Interlock`].
+    pub fn interlock(
+        who: impl Into<String>,
+        doing: impl Into<String>,
+        why: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> Self {
+        Self::Interlock { who: who.into(), doing: doing.into(), why: why.into(), hint: hint.into() }
+    }
+
+    /// See [`DriverError::Lost`].
+    pub fn lost(
+        who: impl Into<String>,
+        doing: impl Into<String>,
+        why: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> Self {
+        Self::Lost { who: who.into(), doing: doing.into(), why: why.into(), hint: hint.into() }
+    }
+}
+
 impl DriverError {
     /// True for trouble that the process's exit status 3 (device missing) stands for.
     pub fn is_missing_device(&self) -> bool {

@@ -25,6 +25,15 @@ pub struct Identity {
     pub firmware: String,
 }
 
+impl Identity {
+    /// From an answer to `*IDN?`: maker, model, serial number and version, parted by commas.
+    pub fn of_fields(answer: &str) -> Option<Self> {
+        let fields: Vec<_> = answer.split(',').map(|field| field.trim().to_owned()).collect();
+        let [maker, model, serial, firmware] = <[String; 4]>::try_from(fields).ok()?;
+        Some(Self { maker, model, serial, firmware })
+    }
+}
+
 /// What a calibrator is told before the first set-point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CalibratorSettings {
@@ -158,6 +167,15 @@ impl ShotProgram {
     }
 }
 
+/// When something that a unit was told has begun, by this computer's clock: between these two moments.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Begun {
+    /// Not before: the command had not been sent.
+    pub earliest: Instant,
+    /// Not after: the unit had said that it had begun.
+    pub latest: Instant,
+}
+
 /// A pulse generator that fires injector and camera.
 #[async_trait]
 pub trait TriggerUnit: Send {
@@ -165,18 +183,25 @@ pub trait TriggerUnit: Send {
     async fn identify(&mut self) -> Result<Identity, DriverError>;
     /// Programs a burst, reads it back, and returns what the unit really took. Fires nothing.
     async fn program(&mut self, program: &ShotProgram) -> Result<ShotProgram, DriverError>;
-    /// Starts the burst that was programmed and confirms that the unit runs.
-    async fn start(&mut self) -> Result<(), DriverError>;
+    /// Starts the burst that was programmed and confirms that the unit runs; when its clock began. Begins nothing yet on a
+    /// unit whose cycles are begun one by one.
+    async fn start(&mut self) -> Result<Begun, DriverError>;
     /// Whether each cycle of a started burst has to be begun by [`TriggerUnit::begin_cycle`]: true for a unit that
     /// cannot make the pauses by itself. Such a unit fires nothing more when nobody begins a cycle.
     fn is_begun_by_cycle(&self) -> bool {
         false
     }
-    /// Begins cycle `cycle` (counted from 0, in order) at `due`, or later when the chamber needs it or `due` is past;
-    /// returns the moment of the cycle's first T0 pulse by this computer's clock. Does nothing on a unit that makes its
-    /// cycles by itself.
-    async fn begin_cycle(&mut self, _cycle: u32, due: Instant) -> Result<Instant, DriverError> {
+    /// Asks whether cycle `cycle` (counted from 0, in order) may begin at `due`, some seconds before; returns when it may:
+    /// later than `due` when the chamber needs it. Waits for nothing but answers, so that a wish to stop is heard between
+    /// this and [`TriggerUnit::begin_cycle`]. Does nothing on a unit that makes its cycles by itself.
+    async fn ready_cycle(&mut self, _cycle: u32, due: Instant) -> Result<Instant, DriverError> {
         Ok(due)
+    }
+    /// Begins cycle `cycle` at `due`, or later when the chamber needs it or `due` is past, after
+    /// [`TriggerUnit::ready_cycle`] if that was not asked for it yet; when the cycle's first T0 pulse came. Does nothing on
+    /// a unit that makes its cycles by itself.
+    async fn begin_cycle(&mut self, _cycle: u32, due: Instant) -> Result<Begun, DriverError> {
+        Ok(Begun { earliest: due, latest: due })
     }
     /// Whether pulses are still being made.
     async fn running(&mut self) -> Result<bool, DriverError>;
@@ -216,6 +241,17 @@ pub struct Frame {
     pub complete: bool,
 }
 
+/// What a camera's clock showed at a moment of this computer's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CameraClock {
+    /// The clock that stamps the frames, in nanoseconds.
+    pub device_ns: u64,
+    /// Not before: the camera had not been asked.
+    pub earliest: Instant,
+    /// Not after: it had answered.
+    pub latest: Instant,
+}
+
 /// An infrared camera that exposes on a trigger.
 #[async_trait]
 pub trait Camera: Send {
@@ -240,6 +276,10 @@ pub trait Camera: Send {
     /// [`Camera::prepare`] looks for it again for as long as its driver is told.
     async fn check(&mut self) -> Result<(), DriverError> {
         Ok(())
+    }
+    /// What the clock that stamps its frames shows now; `None` where the camera cannot tell.
+    async fn clock(&mut self) -> Result<Option<CameraClock>, DriverError> {
+        Ok(None)
     }
     /// What the transport counted between the last start and stop: packets, resends, losses.
     fn counters(&self) -> Vec<(&'static str, u64)> {

@@ -9,6 +9,7 @@ use crate::error::DriverError;
 use crate::instrument::{Calibrator, CalibratorSettings, Identity, PlateReading};
 use crate::modbus::{Master, Question};
 use crate::quantity::{Kelvin, KelvinDelta};
+use crate::set_point::{LIMIT_HINT, SetPoint, check_limit};
 use crate::steadiness::Steadiness;
 use crate::wire::{Wire, WireSettings};
 use async_trait::async_trait;
@@ -151,18 +152,19 @@ impl Ir301 {
     async fn check_trouble(&mut self, doing: &str) -> Result<(), DriverError> {
         match self.trouble(doing).await? {
             None => Ok(()),
-            Some(why) => Err(DriverError::Interlock {
-                who: self.master.name().to_owned(),
-                doing: doing.to_owned(),
+            Some(why) => Err(DriverError::interlock(
+                self.master.name(),
+                doing,
                 why,
-                hint: "Look the number up in the controller's manual and clear it at the front.".to_owned(),
-            }),
+                "Look the number up in the controller's manual and clear it at the front.",
+            )),
         }
     }
 
     async fn set_confirmed(&mut self, target_c: f64, doing: &str) -> Result<f64, DriverError> {
         let Some(value) = encode_celsius(target_c) else {
-            return Err(self.limit(doing, format!("{target_c} °C does not fit into a register")));
+            let why = format!("{target_c} °C does not fit into a register");
+            return Err(DriverError::limit(self.master.name(), doing, why, LIMIT_HINT));
         };
         self.master.write(Register::SetPoint.number(), value, doing).await?;
         // The answer to a write repeats it; what counts is what the controller holds.
@@ -170,21 +172,12 @@ impl Ir301 {
         if held == value {
             return Ok(decode_celsius(held));
         }
-        Err(DriverError::Refused {
-            who: self.master.name().to_owned(),
-            doing: doing.to_owned(),
-            why: format!("told {target_c:.1} °C, holds {:.1} °C", decode_celsius(held)),
-            hint: "Check the range of the source and that the controller is in remote operation.".to_owned(),
-        })
-    }
-
-    fn limit(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Limit {
-            who: self.master.name().to_owned(),
-            doing: doing.to_owned(),
-            why,
-            hint: "Change the levels, or the limit if the rig really allows it.".to_owned(),
-        }
+        Err(DriverError::refused(
+            self.master.name(),
+            doing,
+            format!("told {target_c:.1} °C, holds {:.1} °C", decode_celsius(held)),
+            "Check the range of the source and that the controller is in remote operation.",
+        ))
     }
 }
 
@@ -194,12 +187,12 @@ impl Calibrator for Ir301 {
         let doing = "asking who it is";
         let model = self.read_register(Register::Model, doing).await?;
         if model != MODEL {
-            return Err(DriverError::Refused {
-                who: self.master.name().to_owned(),
-                doing: doing.to_owned(),
-                why: format!("its model register holds {model}, an IR-301 answers {MODEL}"),
-                hint: "Check the address: another instrument may sit on this line.".to_owned(),
-            });
+            return Err(DriverError::refused(
+                self.master.name(),
+                doing,
+                format!("its model register holds {model}, an IR-301 answers {MODEL}"),
+                "Check the address: another instrument may sit on this line.",
+            ));
         }
         let revision = self.read_register(Register::Revision, doing).await?;
         Ok(Identity {
@@ -212,31 +205,16 @@ impl Calibrator for Ir301 {
 
     async fn prepare(&mut self, settings: &CalibratorSettings) -> Result<(), DriverError> {
         self.settings = None;
-        if !settings.limit.0.is_finite() {
-            return Err(self.limit("preparing", "the configured limit is not a number".to_owned()));
-        }
+        check_limit(self.master.name(), settings)?;
         self.check_trouble("checking for errors").await?;
         self.settings = Some(settings.clone());
         Ok(())
     }
 
     async fn set_point(&mut self, target: Kelvin) -> Result<Kelvin, DriverError> {
-        let target_c = (target.celsius() * TENTHS_PER_C).round() / TENTHS_PER_C;
-        let doing = format!("setting {target_c:.1} °C");
-        let Some(settings) = &self.settings else {
-            return Err(
-                self.limit(&doing, "the limits are not known before the instrument is prepared".to_owned())
-            );
-        };
-        let limit_c = settings.limit.celsius();
-        if !target_c.is_finite() {
-            return Err(self.limit(&doing, "the set-point is not a number".to_owned()));
-        }
-        if target_c > limit_c {
-            return Err(self.limit(&doing, format!("the configured limit is {limit_c:.2} °C")));
-        }
-        self.check_trouble(&doing).await?;
-        Ok(Kelvin::from_celsius(self.set_confirmed(target_c, &doing).await?))
+        let target = SetPoint::new(self.master.name(), target, TENTHS_PER_C, self.settings.as_ref())?;
+        self.check_trouble(&target.doing).await?;
+        Ok(Kelvin::from_celsius(self.set_confirmed(target.celsius, &target.doing).await?))
     }
 
     async fn read(&mut self) -> Result<PlateReading, DriverError> {

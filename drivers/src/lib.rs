@@ -17,6 +17,7 @@ pub mod ports;
 pub mod quantity;
 pub mod quantum_9520;
 pub mod restored;
+mod set_point;
 mod steadiness;
 pub mod trigger_limits;
 pub mod wire;

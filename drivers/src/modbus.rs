@@ -4,14 +4,11 @@
 //! Line V1.02 (CRC-16, low byte first; 3.5 characters of silence between frames). Knows no register of any instrument.
 
 use crate::error::DriverError;
-use crate::wire::{FrameCut, FrameHabits, FrameSign, LineHabits, Wire};
+use crate::wire::{FrameCut, FrameHabits, FrameSign, LineHabits, Tries, Wire};
 use std::time::Duration;
 
 /// Registers that one question can read (specification, function 3).
 pub const COUNT_MAX: u16 = 125;
-
-/// Tries of one exchange that may be repeated without harm.
-const EXCHANGE_TRIES: u32 = 3;
 
 /// Shortest silence between frames: above 19200 baud the specification fixes 1.75 ms; timers here have a grain of 1 ms.
 const GAP_MIN: Duration = Duration::from_millis(3);
@@ -298,35 +295,27 @@ impl Master {
             }
             other => format!("{question:?} was answered by {other:?}"),
         };
-        DriverError::Refused {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::refused(
+            self.wire.name(),
+            doing,
             why,
-            hint: "Check unit, function and register against the instrument's table.".to_owned(),
-        }
+            "Check unit, function and register against the instrument's table.",
+        )
     }
 
     /// Reading twice and writing the same twice do no harm.
     async fn exchange(&mut self, question: Question, doing: &str) -> Result<Answer, DriverError> {
-        let mut tries = 0;
+        let mut tries = Tries::default();
         loop {
-            tries += 1;
             let asked = self.wire.ask_frame(&self.habits, &question.encode(self.unit), doing).await;
-            let error = match asked {
+            let failure = match asked {
                 Ok(frame) => match Answer::decode(&frame, self.unit, question) {
                     Ok(answer) => return Ok(answer),
                     Err(why) => self.wire.unexpected(doing, &format!("{frame:02x?}"), why),
                 },
-                Err(error) => error,
+                Err(failure) => failure,
             };
-            match error {
-                DriverError::Silent { who, doing, waited, tries: 1, hint } if tries >= EXCHANGE_TRIES => {
-                    return Err(DriverError::Silent { who, doing, waited, tries, hint });
-                }
-                DriverError::Silent { tries: 1, .. } => {}
-                DriverError::Garbled { .. } if tries < EXCHANGE_TRIES => {}
-                error => return Err(error),
-            }
+            tries.again(failure)?;
         }
     }
 }

@@ -93,7 +93,7 @@ impl<C: Calibrator> Restored<C> {
     }
 
     fn refused(&self, doing: &str, why: String, hint: &str) -> DriverError {
-        DriverError::Refused { who: self.name.clone(), doing: doing.to_owned(), why, hint: hint.to_owned() }
+        DriverError::refused(&self.name, doing, why, hint)
     }
 }
 

@@ -3,6 +3,7 @@
 //! The same questions are asked of a campaign file, so that what a unit would refuse at night is refused at the desk.
 //! Knows no protocol. Distances between bursts are kept by [`LastInjection`], which each driver carries.
 
+use crate::error::DriverError;
 use crate::instrument::ShotProgram;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -114,6 +115,30 @@ pub fn complaints(program: &ShotProgram, limits: &TriggerLimits, range: &UnitRan
     counts(program, range, &mut unless);
     pulses(program, limits, range, &mut unless);
     found
+}
+
+/// What a person should try when a program is not allowed.
+pub(crate) const LIMIT_HINT: &str = "Change the times of the plan, or the limit if the rig really allows it.";
+
+/// What a person should try when a trigger unit does not do what it is told.
+pub(crate) const PANEL_HINT: &str =
+    "Check that nobody works at its front panel, and switch it off and on if it persists.";
+
+/// The question that each unit asks before it sends anything.
+///
+/// # Errors
+/// [`DriverError::Limit`] with all [`complaints`].
+pub(crate) fn check(
+    who: &str,
+    program: &ShotProgram,
+    limits: &TriggerLimits,
+    range: &UnitRange,
+) -> Result<(), DriverError> {
+    let why: Vec<_> = complaints(program, limits, range).into_iter().map(|complaint| complaint.why).collect();
+    if why.is_empty() {
+        return Ok(());
+    }
+    Err(DriverError::limit(who, "programming a burst", why.join("; "), LIMIT_HINT))
 }
 
 type Unless<'a> = dyn FnMut(bool, About, &dyn Fn() -> String) + 'a;

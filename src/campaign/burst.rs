@@ -1,13 +1,14 @@
 //! One burst of the trigger unit: cycles begun, frames collected and placed, a cycle accepted or taken again.
 
 use super::matching::Matcher;
+use super::origin::BurstClock;
 use super::{CampaignError, Engine, Interrupt, Label, Step, Streaks, WISH_POLL, Wish, camera_trouble};
 use crate::journal::Record;
 use ditd_drivers::error::DriverError;
-use ditd_drivers::instrument::{Frame, ShotProgram};
+use ditd_drivers::instrument::{Begun, CameraClock, Frame, ShotProgram};
 use ditd_drivers::quantity::Kelvin;
 use std::time::Duration;
-use tokio::time::{Instant, sleep};
+use tokio::time::Instant;
 
 /// Added to the planned time of a frame before it counts as missing: read-out, transport, and the time between
 /// the trigger unit's start and its confirmation (two commands of 10 ms, 9520 manual).
@@ -17,9 +18,9 @@ const FRAME_MARGIN: Duration = Duration::from_millis(1500);
 /// takes 5 ms (measured with a loopback camera: median 5 ms, 16 ms at most under load).
 const LISTEN_MARGIN: Duration = Duration::from_millis(50);
 
-/// Before a cycle is due on a unit that is begun cycle by cycle, the driver gets this long to ask whether it may begin: above
-/// what it takes for that (3 s), and short enough for a stop wish to wait.
-const BEGIN_LEAD: Duration = Duration::from_millis(3500);
+/// How long before a cycle is due a unit that is begun cycle by cycle is asked whether it may begin: three questions of
+/// some 50 ms, and one of them may be answered late and cost a second and the search for the thread.
+const READY_LEAD: Duration = Duration::from_secs(3);
 
 /// Cycles in a row without a single frame after which the burst is ended and the missing cycles are left to a new one, for
 /// which camera and trigger unit are started anew: a stream that got stuck comes back by that.
@@ -56,6 +57,10 @@ impl Engine<'_> {
                 streaks.losses += 1;
                 self.progress.note(&format!("level {}: cycles are taken again: {loss}", level + 1));
                 self.instruments.trigger.make_safe().await?;
+                if planned.inject {
+                    // What the unit did while its line was gone nobody knows.
+                    self.last_injection = Some(Instant::now());
+                }
                 self.instruments.camera.stop().await.map_err(camera_trouble)?;
                 Ok(true)
             }
@@ -80,14 +85,14 @@ impl Engine<'_> {
         self.note(Record::Burst { level, program: program.clone(), first_cycle, shutter_k })?;
         self.note(Record::Intent { act: "start the trigger clock".to_owned(), level: Some(level) })?;
         self.instruments.camera.start().await.map_err(camera_trouble)?;
-        let begun = Instant::now();
+        let clock = self.instruments.camera.clock().await.map_err(camera_trouble)?;
         if program.inject {
-            self.last_injection = Some(begun);
+            self.last_injection = Some(Instant::now());
         }
-        self.instruments.trigger.start().await?;
+        let begun = self.instruments.trigger.start().await?;
         self.note(Record::Done { act: "start the trigger clock".to_owned(), level: Some(level) })?;
         let outcome =
-            self.collect_burst(level, &program, first_cycle, shutter.is_some(), begun, silent).await;
+            self.collect_burst(level, &program, first_cycle, shutter.is_some(), (begun, clock), silent).await;
         // Even after trouble or a wish the clock must stand before anything else is commanded.
         let stopped = self.instruments.trigger.stop().await;
         let camera = self.instruments.camera.stop().await;
@@ -115,16 +120,17 @@ impl Engine<'_> {
         program: &ShotProgram,
         first_cycle: u32,
         shutter: bool,
-        begun: Instant,
+        (begun, clock): (Begun, Option<CameraClock>),
         silent: &mut u32,
     ) -> Step<bool> {
-        let mut matcher = Matcher::new(program.clone());
+        let mut matcher = Matcher::new(program.clone(), self.origins);
+        matcher.began(clock.map(|clock| BurstClock::new(begun, 0, clock)));
         let mut carry: Option<Frame> = None;
-        let mut begun = begun;
+        let mut begun = begun.earliest;
         for cycle in 0..program.cycles {
             let number = first_cycle + cycle;
             if self.instruments.trigger.is_begun_by_cycle() {
-                begun = self.begin_cycle(level, program, cycle, begun, &mut matcher).await?;
+                begun = self.begin_cycle(level, program, cycle, begun, clock, &mut matcher).await?;
             }
             self.note(Record::Intent { act: format!("cycle {number}"), level: Some(level) })?;
             let collected = self
@@ -133,6 +139,7 @@ impl Engine<'_> {
             if let Err(Interrupt::CameraLost(error)) = &collected {
                 self.reject(level, number, format!("the camera is gone: {error}"))?;
             }
+            self.origins = matcher.origins();
             let collected = collected?;
             if program.inject {
                 let spray = program.frame_ns(cycle, program.frames_per_cycle() - 1);
@@ -197,31 +204,31 @@ impl Engine<'_> {
         program: &ShotProgram,
         cycle: u32,
         begun: Instant,
+        clock: Option<CameraClock>,
         matcher: &mut Matcher,
     ) -> Step<Instant> {
-        let offset = Duration::from_nanos(program.frame_ns(cycle, 0));
+        let ahead_ns = program.frame_ns(cycle, 0);
+        let offset = Duration::from_nanos(ahead_ns);
         let due = begun + offset;
-        loop {
-            self.heed(Wish::Pause)?;
-            let left = due.saturating_duration_since(Instant::now());
-            if left <= BEGIN_LEAD {
-                break;
-            }
-            let reason = format!(
-                "level {}: cycle {} of {}: pause, residual vapour is flushed out",
-                level + 1,
-                cycle + 1,
-                program.cycles
-            );
-            self.progress.waiting(&reason, Some(left.as_secs_f64()));
-            sleep((left - BEGIN_LEAD).min(WISH_POLL)).await;
-        }
+        let reason = format!(
+            "level {}: cycle {} of {}: pause, residual vapour is flushed out",
+            level + 1,
+            cycle + 1,
+            program.cycles
+        );
+        self.heed(Wish::Pause)?;
+        self.await_due(due, READY_LEAD, &reason).await?;
+        let due = self.instruments.trigger.ready_cycle(cycle, due).await?.max(due);
+        self.await_due(due, WISH_POLL, &reason).await?;
+        self.heed(Wish::Pause)?;
         if program.inject {
             // Whatever happens from here on, fuel may come.
             let spray = program.frame_ns(0, program.frames_per_cycle() - 1) - program.frame_ns(0, 0);
             self.last_injection = Some(due.max(Instant::now()) + Duration::from_nanos(spray));
         }
         let fired = self.instruments.trigger.begin_cycle(cycle, due).await?;
+        matcher.began(clock.map(|clock| BurstClock::new(fired, ahead_ns, clock)));
+        let fired = fired.earliest;
         matcher.begin(cycle, u64::try_from((fired - self.started).as_nanos()).unwrap_or(u64::MAX));
         Ok(fired.checked_sub(offset).unwrap_or(fired))
     }
@@ -298,6 +305,7 @@ impl Engine<'_> {
         if trouble.is_none() {
             trouble = self.one_too_many(program, cycle, begun, matcher, carry).await?;
         }
+        let trouble = trouble.or(matcher.doubt());
         Ok(match trouble {
             None => Collected::Complete,
             Some(reason) => Collected::Rejected { reason, frames: received },

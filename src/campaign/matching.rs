@@ -3,11 +3,12 @@
 //! The first frame of a burst sets the origin; every further frame must lie on the trigger unit's grid. A frame
 //! that is lost leaves its place empty and never shifts the ones after it. When the very first frame of a burst
 //! is lost the origin is wrong by one place: then the first cycle cannot become complete, it is rejected, and the
-//! origin is set anew. Pure.
+//! origin is set anew. When one frame too many makes it complete all the same, the clocks tell ([`super::origin`]). Pure.
 //!
 //! A unit that is begun cycle by cycle has one grid per cycle. Where the next one lies the computer's clock tells, to a
 //! few milliseconds: enough to know a frame from its neighbour, which keeps the rule that a lost first frame shifts nothing.
 
+use super::origin::{BurstClock, Origins, Verdict};
 use ditd_drivers::instrument::ShotProgram;
 
 /// Distance of a time stamp from the trigger grid that is always allowed, as a fraction of the clock period: cameras
@@ -42,12 +43,41 @@ pub(super) struct Matcher {
     begun: Option<(u32, i128)>,
     /// The grid of the present cycle is known only from the computer's clock; its first frame sets it.
     loose: bool,
+    /// When the burst began by the camera's clock, where that is known.
+    clock: Option<BurstClock>,
+    origins: Origins,
+    /// Why the origin may be wrong.
+    doubt: Option<String>,
 }
 
 impl Matcher {
-    /// For a burst as the trigger unit took it.
-    pub(super) fn new(program: ShotProgram) -> Self {
-        Self { program, anchor: None, confirmed: false, begun: None, loose: false }
+    /// For a burst as the trigger unit took it, after others whose origins are known.
+    pub(super) fn new(program: ShotProgram, origins: Origins) -> Self {
+        Self {
+            program,
+            anchor: None,
+            confirmed: false,
+            begun: None,
+            loose: false,
+            clock: None,
+            origins,
+            doubt: None,
+        }
+    }
+
+    /// The burst began so, by the camera's clock.
+    pub(super) fn began(&mut self, clock: Option<BurstClock>) {
+        self.clock = clock;
+    }
+
+    /// What is known of origins now.
+    pub(super) fn origins(&self) -> Origins {
+        self.origins
+    }
+
+    /// Why the cycle just collected must not count although it is complete: its first frame set an origin that is doubtful.
+    pub(super) fn doubt(&mut self) -> Option<String> {
+        self.doubt.take()
     }
 
     /// A cycle was begun at `at_ns` by this computer's clock, on a unit that is begun cycle by cycle: its pulses lie on a
@@ -79,7 +109,13 @@ impl Matcher {
         let period = i128::from(self.program.period_ns);
         let first = self.first_pulse(due);
         let stamp = i128::from(device_ns);
-        let (anchor_pulse, anchor_ns) = *self.anchor.get_or_insert((first, stamp));
+        let (anchor_pulse, anchor_ns) = match self.anchor {
+            Some(anchor) => anchor,
+            None => {
+                self.judge_origin(stamp, first * period);
+                *self.anchor.insert((first, stamp))
+            }
+        };
         let since = stamp - anchor_ns;
         let pulses = (since + period / 2).div_euclid(period);
         let off = since - pulses * period;
@@ -113,6 +149,18 @@ impl Matcher {
             }
             _ => Err(format!("time stamp {device_ns} ns lies in the pause, where no frame was triggered")),
         }
+    }
+
+    fn judge_origin(&mut self, stamp: i128, ahead: i128) {
+        let Some(clock) = self.clock else { return };
+        let delay = i128::from(self.program.camera_delay_ns);
+        let lag = clock.lag(stamp, ahead + delay);
+        let verdict =
+            self.origins.judge(lag, i128::from(self.program.period_ns), self.program.frames_per_cycle());
+        self.doubt = match verdict {
+            Verdict::Doubtful(why) => Some(why),
+            Verdict::First | Verdict::Untold => None,
+        };
     }
 
     /// Tells whether the cycle just collected was complete. An incomplete one before any complete one makes the
@@ -152,7 +200,7 @@ mod tests {
 
     #[test]
     fn every_frame_finds_its_place() {
-        let mut matcher = Matcher::new(program());
+        let mut matcher = Matcher::new(program(), Origins::default());
         for cycle in 0..4 {
             for position in 0..4 {
                 assert_eq!(matcher.place(stamp(cycle, position), cycle), Ok(Place { cycle, position }));
@@ -162,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_lost_frame_does_not_shift_the_next() {
-        let mut matcher = Matcher::new(program());
+        let mut matcher = Matcher::new(program(), Origins::default());
         for position in 0..4 {
             matcher.place(stamp(0, position), 0).unwrap();
         }
@@ -173,7 +221,7 @@ mod tests {
 
     #[test]
     fn losing_the_very_first_frame_costs_one_cycle_and_no_label() {
-        let mut matcher = Matcher::new(program());
+        let mut matcher = Matcher::new(program(), Origins::default());
         let found: Vec<_> = (1..4).map(|p| matcher.place(stamp(0, p), 0).unwrap().position).collect();
         assert_eq!(found, [0, 1, 2], "shifted, and therefore incomplete: position 3 never comes");
         matcher.collected(false);
@@ -186,7 +234,7 @@ mod tests {
     fn clocks_that_drift_apart_do_not_add_up() {
         // 50 ppm over 49 cycles of 15 s is 37 ms: two places, if it added up.
         let program = ShotProgram { cycles: 49, ..program() };
-        let mut matcher = Matcher::new(program.clone());
+        let mut matcher = Matcher::new(program.clone(), Origins::default());
         for cycle in 0..49 {
             for position in 0..4 {
                 let exact = program.frame_ns(cycle, position);
@@ -200,7 +248,7 @@ mod tests {
     /// Begun by hand, cycles come some milliseconds late; a cycle's lost first frame is still seen.
     #[test]
     fn cycles_that_are_begun_by_hand_have_grids_of_their_own() {
-        let mut matcher = Matcher::new(program());
+        let mut matcher = Matcher::new(program(), Origins::default());
         let late_ns = |cycle: u32| u64::from(cycle * 7 % 5) * 1_500_000;
         for cycle in 0..4 {
             // What the computer notes is off by another millisecond.
@@ -212,7 +260,7 @@ mod tests {
             matcher.collected(cycle != 2);
         }
         // 10 ms off is between two places: refused, and the next frame is not.
-        let mut matcher = Matcher::new(program());
+        let mut matcher = Matcher::new(program(), Origins::default());
         matcher.begin(0, 0);
         matcher.place(stamp(0, 0), 0).unwrap();
         matcher.collected(true);
@@ -223,7 +271,7 @@ mod tests {
 
     #[test]
     fn a_stamp_off_the_grid_or_in_the_pause_is_refused() {
-        let mut matcher = Matcher::new(program());
+        let mut matcher = Matcher::new(program(), Origins::default());
         matcher.place(stamp(0, 0), 0).unwrap();
         assert!(matcher.place(stamp(0, 1) + 5_000_000, 0).is_err());
         assert!(matcher.place(stamp(0, 100), 0).is_err());

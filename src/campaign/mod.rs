@@ -4,16 +4,22 @@
 //! are all there and lie where the trigger unit put them.
 
 mod burst;
+mod camera;
 mod error;
 mod matching;
 mod monitors;
+mod origin;
 mod recorder;
 mod stop;
+mod watch;
 
 pub use error::CampaignError;
 pub use monitors::{Exceeded, MonitorLine, Monitors, Watched};
+pub use origin::Origins;
 pub use recorder::{Label, RecordError, Recorder, crc_of};
 pub use stop::{StopFlag, Wish};
+
+use camera::{camera_trouble, prepare_camera};
 
 use crate::config::{Config, Soak};
 use crate::journal::{CycleCount, JOURNAL_SCHEMA, Record};
@@ -21,8 +27,7 @@ use crate::plan::{LevelPlan, Plan, Purpose};
 use crate::soak::{Judge, Verdict};
 use ditd_drivers::error::DriverError;
 use ditd_drivers::instrument::{
-    Calibrator, CalibratorSettings, Camera, CameraSettings, MonitorReading, PlateReading, ShotProgram,
-    TriggerUnit,
+    Calibrator, CalibratorSettings, Camera, CameraSettings, ShotProgram, TriggerUnit,
 };
 use ditd_drivers::quantity::{Kelvin, KelvinDelta};
 use std::panic::AssertUnwindSafe;
@@ -34,9 +39,6 @@ const WISH_POLL: Duration = Duration::from_millis(250);
 
 /// How often a camera may go and come back at one level.
 const CAMERA_LOSSES_MAX: u32 = 3;
-
-/// Relative difference of the integration time that a camera may round to: far below the 1e-3 that would show.
-const INTEGRATION_TOLERANCE: f64 = 1e-6;
 
 /// Where an interrupted soak or a plate that leaves its band is soaked again, at most this often per level.
 const RESOAKS_MAX: u32 = 5;
@@ -113,6 +115,8 @@ pub struct Engine<'a> {
     pub elapsed_before_ns: u64,
     /// When fuel may last have been injected; a resumed run starts with its own beginning.
     pub last_injection: Option<Instant>,
+    /// What the bursts before say of when first frames come.
+    pub origins: Origins,
 }
 
 enum Interrupt {
@@ -120,14 +124,6 @@ enum Interrupt {
     Error(CampaignError),
     /// The camera is gone: it may come back.
     CameraLost(DriverError),
-}
-
-/// The camera's trouble: one that is gone is looked for, anything else ends the campaign.
-fn camera_trouble(error: DriverError) -> Interrupt {
-    match error {
-        DriverError::Lost { .. } => Interrupt::CameraLost(error),
-        other => Interrupt::Error(other.into()),
-    }
 }
 
 impl<E: Into<CampaignError>> From<E> for Interrupt {
@@ -178,12 +174,12 @@ impl Engine<'_> {
             Err(Interrupt::Error(error)) => Err(error),
             Err(Interrupt::CameraLost(error)) => Err(error.into()),
         };
-        // Injector and clock first, before anything that could wait for a disk or a terminal; then once more in order,
-        // with its record.
-        let _ = self.instruments.trigger.make_safe().await;
+        // Injector and clock first, before anything that could wait for a disk or a terminal; once more in order, with its
+        // record, when that was not confirmed.
+        let rests = self.instruments.trigger.make_safe().await.is_ok();
         self.progress.waiting("bringing the rig to its safe state", None);
         let _ = self.note(Record::Intent { act: "safe state".to_owned(), level: None });
-        let unsafe_because = safe_state(self.instruments).await;
+        let unsafe_because = safe_state(self.instruments, rests).await;
         if unsafe_because.is_empty() {
             let _ = self.note(Record::Done { act: "safe state".to_owned(), level: None });
         }
@@ -228,37 +224,6 @@ impl Engine<'_> {
         Ok(())
     }
 
-    /// Waits for a camera that has gone, for as long as its driver is told, and prepares it from scratch. Injector and
-    /// clock stand meanwhile; the level then goes on with a new soak and the cycles that are missing.
-    async fn find_camera_again(&mut self, number: u32, level: &LevelPlan, lost: &DriverError) -> Step<()> {
-        self.instruments.trigger.make_safe().await?;
-        let act = format!("look for the camera again ({lost})");
-        self.note(Record::Intent { act: act.clone(), level: Some(number) })?;
-        self.progress.note(&format!("level {}: {lost} Looking for the camera again.", number + 1));
-        {
-            let stop = self.stop.clone();
-            let prepared = self.prepare_camera();
-            tokio::pin!(prepared);
-            loop {
-                tokio::select! {
-                    ended = &mut prepared => break ended?,
-                    () = sleep(WISH_POLL) => {
-                        let wish = stop.wish();
-                        if wish >= Wish::Pause {
-                            return Err(Interrupt::Wish(wish));
-                        }
-                    }
-                }
-            }
-        }
-        if level.shutter_reference {
-            // It may have been closed when the camera went.
-            self.instruments.camera.shutter(false).await.map_err(camera_trouble)?;
-        }
-        self.note(Record::Done { act, level: Some(number) })?;
-        Ok(())
-    }
-
     async fn prepare(&mut self) -> Step<()> {
         self.progress.waiting("asking the instruments who they are", None);
         let identity = self.instruments.trigger.identify().await?;
@@ -274,22 +239,7 @@ impl Engine<'_> {
         if !values.is_empty() {
             self.note(Record::Particulars { instrument: "plate".to_owned(), values })?;
         }
-        self.prepare_camera().await
-    }
-
-    async fn prepare_camera(&mut self) -> Step<()> {
-        let wanted = camera_settings(self.config);
-        let taken = self.instruments.camera.prepare(&wanted).await.map_err(camera_trouble)?;
-        let same_time = (taken.integration_s / wanted.integration_s - 1.0).abs() < INTEGRATION_TOLERANCE;
-        if (CameraSettings { integration_s: wanted.integration_s, ..taken.clone() }) != wanted || !same_time {
-            return Err(Interrupt::Error(CampaignError::Driver(DriverError::Refused {
-                who: format!("camera at {}", self.config.camera.address),
-                doing: "setting region, integration time and depth".to_owned(),
-                why: format!("asked for {wanted:?}, took {taken:?}"),
-                hint: "Write what the camera can do into [camera].".to_owned(),
-            })));
-        }
-        Ok(())
+        prepare_camera(&mut *self.instruments.camera, self.config).await
     }
 
     async fn level(&mut self, number: u32, level: &LevelPlan) -> Step<()> {
@@ -350,13 +300,31 @@ impl Engine<'_> {
     async fn await_flushed(&mut self, program: &ShotProgram) -> Step<()> {
         let Some(last) = self.last_injection.filter(|_| program.inject) else { return Ok(()) };
         let ready = last + Duration::from_nanos(program.cycle_ns());
+        self.await_due(ready, Duration::ZERO, "pause, residual vapour is flushed out").await
+    }
+
+    /// Waits until `lead` before `due`, with an ear for wishes, and says what for.
+    async fn await_due(&mut self, due: Instant, lead: Duration, reason: &str) -> Step<()> {
         loop {
-            let left = ready.saturating_duration_since(Instant::now());
-            if left.is_zero() {
+            let left = due.saturating_duration_since(Instant::now());
+            if left <= lead {
                 return Ok(());
             }
             self.heed(Wish::Pause)?;
-            self.progress.waiting("pause, residual vapour is flushed out", Some(left.as_secs_f64()));
+            self.progress.waiting(reason, Some(left.as_secs_f64()));
+            sleep((left - lead).min(WISH_POLL)).await;
+        }
+    }
+
+    /// Waits for so long, with an ear for wishes.
+    async fn pause(&self, time: Duration) -> Step<()> {
+        let until = Instant::now() + time;
+        loop {
+            self.heed(Wish::Pause)?;
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(());
+            }
             sleep(left.min(WISH_POLL)).await;
         }
     }
@@ -393,43 +361,8 @@ impl Engine<'_> {
                     }));
                 }
             }
-            sleep(Duration::from_secs_f64(self.config.soak.poll_s)).await;
+            self.pause(Duration::from_secs_f64(self.config.soak.poll_s)).await?;
         }
-    }
-
-    /// Reads the plate and the monitors, writes both into the telemetry, and holds them against their limits.
-    async fn read_plate(&mut self, level: u32) -> Step<(PlateReading, Vec<MonitorReading>)> {
-        let reading = self.instruments.plate.read().await?;
-        let round = self.instruments.monitors.read().await?;
-        for note in &round.notes {
-            self.progress.note(note);
-        }
-        let t_ns = self.now_ns();
-        self.recorder.reading(t_ns, level, &reading, &round.values)?;
-        if let Some(Exceeded { name, value, side, limit }) = round.exceeded {
-            self.note_values(level, None, round.values)?;
-            return Err(Interrupt::Error(CampaignError::OutOfLimits { name, value, side, limit }));
-        }
-        if reading.tripped {
-            return Err(Interrupt::Error(CampaignError::Tripped { apparent_k: reading.apparent.0 }));
-        }
-        // Overshoot of some kelvin is what controllers do; a plate that runs away is not.
-        let limit_k = self.config.plate.limit_k + OVERSHOOT_ALLOWED_K;
-        if reading.apparent.0 > limit_k || reading.block.0 > limit_k {
-            return Err(Interrupt::Error(CampaignError::TooHot {
-                reading_k: reading.apparent.0.max(reading.block.0),
-                limit_k,
-            }));
-        }
-        Ok((reading, round.values))
-    }
-
-    /// Keeps process values in the record; a rig without monitors has none.
-    fn note_values(&mut self, level: u32, cycle: Option<u32>, values: Vec<MonitorReading>) -> Step<()> {
-        if !values.is_empty() {
-            self.note(Record::ProcessValues { level, cycle, values })?;
-        }
-        Ok(())
     }
 
     fn reject(&mut self, level: u32, cycle: u32, reason: String) -> Step<()> {
@@ -488,23 +421,22 @@ impl Engine<'_> {
     }
 
     fn now_ns(&self) -> u64 {
-        self.elapsed_before_ns + u64::try_from(self.started.elapsed().as_nanos()).unwrap_or(u64::MAX)
+        watch::now_ns(self.started, self.elapsed_before_ns)
     }
 }
 
-/// Above `plate.limit_k` by more than this a reading stops the campaign: the 4181's overshoot is a few kelvin.
-const OVERSHOOT_ALLOWED_K: f64 = 10.0;
-
-/// Injector channel off, trigger clock off, camera off, plate to its minimum: in this order, each tried even if
-/// an earlier one could not be reached. Returns what could not be confirmed.
-pub async fn safe_state(instruments: &mut Instruments) -> Vec<DriverError> {
+/// Injector channel off, trigger clock off (unless they rest already), camera off, plate to its minimum: in this order,
+/// each tried even if an earlier one could not be reached. Returns what could not be confirmed.
+async fn safe_state(instruments: &mut Instruments, trigger_rests: bool) -> Vec<DriverError> {
     let mut trouble = Vec::new();
-    let mut made = instruments.trigger.make_safe().await;
-    if made.as_ref().is_err_and(DriverError::is_reopened) {
-        // The line is there again, and nothing was repeated yet.
-        made = instruments.trigger.make_safe().await;
+    if !trigger_rests {
+        let mut made = instruments.trigger.make_safe().await;
+        if made.as_ref().is_err_and(DriverError::is_reopened) {
+            // The line is there again, and nothing was repeated yet.
+            made = instruments.trigger.make_safe().await;
+        }
+        trouble.extend(made.err());
     }
-    trouble.extend(made.err());
     if let Err(error) = instruments.camera.make_safe().await {
         trouble.push(error);
     }

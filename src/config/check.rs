@@ -82,6 +82,10 @@ fn require(found: &mut Vec<Problem>, holds: bool, key: &'static str, message: im
     }
 }
 
+/// Longest time between two looks at the plate, in s: its limits are judged when it is read, and a 4181 heats by 25
+/// kelvin in that time.
+const POLL_MAX_S: f64 = 60.0;
+
 fn positive(found: &mut Vec<Problem>, value: f64, key: &'static str, unit: &str) {
     require(found, value.is_finite() && value > 0.0, key, || {
         format!("must be a positive number of {unit}, found {value}")
@@ -149,6 +153,9 @@ fn soak(config: &Config, found: &mut Vec<Problem>) {
     positive(found, s.hold_s, "soak.hold_s", "seconds");
     positive(found, s.slope_limit_k_per_min, "soak.slope_limit_k_per_min", "kelvin per minute");
     positive(found, s.poll_s, "soak.poll_s", "seconds");
+    require(found, s.poll_s.is_nan() || s.poll_s <= POLL_MAX_S, "soak.poll_s", || {
+        format!("{} s: the plate must be looked at every {POLL_MAX_S} s at least", s.poll_s)
+    });
     positive(found, s.stale_s, "soak.stale_s", "seconds");
     positive(found, s.timeout_s, "soak.timeout_s", "seconds");
     require(found, s.hold_s >= 3.0 * s.poll_s, "soak.hold_s", || {

@@ -172,7 +172,7 @@ impl Prepared {
             Ok((mut plate, surface)) => {
                 let rest = match self.open_monitors(start).await {
                     Ok(monitors) => {
-                        let camera = self.open_camera(surface, received).await;
+                        let camera = self.open_camera(surface, received, start).await;
                         camera.map(|camera| (camera, monitors))
                     }
                     Err(error) => Err(error),
@@ -221,7 +221,7 @@ impl Prepared {
             }
             Err(error) => trouble.push(error),
         }
-        match self.open_camera(surface, received).await {
+        match self.open_camera(surface, received, start).await {
             Ok(mut camera) => trouble.extend(camera.make_safe().await.err().map(OpenError::from)),
             Err(error) => trouble.push(error),
         }
@@ -271,15 +271,15 @@ impl Prepared {
         Ok(((model.drive)(wire.reopening(policy)), Some(plate)))
     }
 
-    /// Opens the sources of process values. One that is not required and cannot be opened is told once and left out.
     async fn open_camera(
         &self,
         plate: Option<Arc<Mutex<Plate>>>,
         pulses: mpsc::Receiver<Pulse>,
+        start: tokio::time::Instant,
     ) -> Result<Box<dyn Camera>, OpenError> {
         let camera = &self.config.camera;
         if camera.address == SIMULATED {
-            return Ok(Box::new(self.simulated_camera(plate, pulses)?));
+            return Ok(Box::new(self.simulated_camera(plate, pulses, start)?));
         }
         open_gige(&camera.address, &camera.gige.clone().unwrap_or_default()).await
     }
@@ -288,6 +288,7 @@ impl Prepared {
         &self,
         plate: Option<Arc<Mutex<Plate>>>,
         pulses: mpsc::Receiver<Pulse>,
+        start: tokio::time::Instant,
     ) -> Result<SimCamera, OpenError> {
         let rig = self.config.rig.as_ref().ok_or_else(no_world)?;
         let world = match &self.world {
@@ -319,7 +320,8 @@ impl Prepared {
             log.lock().unwrap_or_else(PoisonError::into_inner).push(kelvin);
             kelvin
         };
-        Ok(SimCamera::switch_on(world, Box::new(surface), rig.faults.clone(), state, pulses))
+        let camera = SimCamera::switch_on(world, Box::new(surface), rig.faults.clone(), state, pulses);
+        Ok(camera.clock_from(start))
     }
 }
 

@@ -17,6 +17,7 @@ const ANSWER_S: f64 = 1.0;
 const STALE_S: f64 = 60.0;
 
 impl Prepared {
+    /// Opens the sources of process values. One that is not required and cannot be opened is told once and left out.
     pub(super) async fn open_monitors(&self, start: tokio::time::Instant) -> Result<Monitors, OpenError> {
         let mut lines = Vec::with_capacity(self.config.monitors.len());
         for monitor in &self.config.monitors {

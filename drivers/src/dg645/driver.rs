@@ -8,9 +8,9 @@ use super::table::Key;
 use super::value::Value;
 use super::{RANGE, event_status, instrument_status, status_byte};
 use crate::error::DriverError;
-use crate::instrument::{Identity, ShotProgram, TriggerUnit};
-use crate::trigger_limits::{self, LastInjection, TriggerLimits};
-use crate::wire::{LineHabits, Sign, Wire, WireSettings};
+use crate::instrument::{Begun, Identity, ShotProgram, TriggerUnit};
+use crate::trigger_limits::{self, LastInjection, PANEL_HINT, TriggerLimits};
+use crate::wire::{LineHabits, Sign, Tries, Wire, WireSettings};
 use async_trait::async_trait;
 use std::time::Duration;
 use tokio::time::{Instant, sleep, sleep_until};
@@ -21,14 +21,10 @@ const BAUD: u32 = 9600;
 /// Left between two lines: a line of 25 characters takes 26 ms at 9600 baud, and no source says how much the unit stores.
 const PACE: Duration = Duration::from_millis(30);
 
-/// Tries of one exchange that may be repeated without harm.
-const EXCHANGE_TRIES: u32 = 3;
-
 /// Codes that are read from the error queue at most: more are a queue that never empties.
 const ERRORS_MAX: u32 = 32;
 
-/// How long before a cycle is due the unit is asked whether it may begin: three questions of some 50 ms, and one of them
-/// may be answered late and cost a second and the search for the thread.
+/// How long before a cycle is due the unit is asked whether it may begin, when nobody asked before.
 const PREPARATION: Duration = Duration::from_secs(3);
 
 /// How often a stop asks whether the burst is over.
@@ -50,6 +46,8 @@ pub struct Dg645 {
     programmed: Option<ShotProgram>,
     /// The cycle that is begun next, once the program was started.
     next_cycle: Option<u32>,
+    /// It was asked whether that cycle may begin, and it may.
+    is_ready: bool,
     /// Until when the last burst makes pulses.
     busy_until: Option<Instant>,
     last_injection: LastInjection,
@@ -70,6 +68,7 @@ impl Dg645 {
             limits,
             programmed: None,
             next_cycle: None,
+            is_ready: false,
             busy_until: None,
             last_injection: LastInjection::default(),
         }
@@ -91,19 +90,17 @@ impl Dg645 {
 
     /// A query that may be repeated without harm. After silence the error queue says whether the question was bad.
     async fn query(&mut self, key: Key, index: u32, doing: &str) -> Result<Value, DriverError> {
-        let mut tries = 0;
+        let mut tries = Tries::default();
         loop {
-            tries += 1;
             match self.query_once(key, index, doing).await {
-                Err(DriverError::Silent { who, doing, waited, tries: 1, hint })
-                    if tries >= EXCHANGE_TRIES =>
-                {
-                    return Err(DriverError::Silent { who, doing, waited, tries, hint });
+                Err(failure) => {
+                    let is_silent = matches!(failure, DriverError::Silent { .. });
+                    tries.again_if_reopened(failure)?;
+                    if is_silent {
+                        self.check_errors(doing).await?;
+                    }
                 }
-                Err(DriverError::Silent { tries: 1, .. }) => self.check_errors(doing).await?,
-                Err(DriverError::Garbled { .. } | DriverError::Reopened { .. }) if tries < EXCHANGE_TRIES => {
-                }
-                result => return result,
+                value => return value,
             }
         }
     }
@@ -215,7 +212,7 @@ impl Dg645 {
     /// Injector's amplitude down, single shot, burst mode off, each tried even if an earlier one failed; then waits until
     /// no pulse is made any more.
     async fn halt(&mut self, doing: &str) -> Result<(), DriverError> {
-        self.next_cycle = None;
+        (self.next_cycle, self.is_ready) = (None, false);
         let mut first = Ok(());
         for setting in at_rest() {
             let done = self.set_patiently(&setting, doing).await;
@@ -245,14 +242,26 @@ impl Dg645 {
         Ok(())
     }
 
-    fn refused(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Refused {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
-            why,
-            hint: "Check that nobody works at its front panel, and switch it off and on if it persists."
-                .to_owned(),
+    /// The program whose next cycle this is.
+    fn next_program(&self, cycle: u32, doing: &str) -> Result<ShotProgram, DriverError> {
+        match (&self.programmed, self.next_cycle) {
+            (Some(program), Some(next)) if next == cycle && cycle < program.cycles => Ok(program.clone()),
+            _ => Err(self.refused(doing, format!("cycle {cycle} is not the next one of the program"))),
         }
+    }
+
+    /// `due`, or later when the injection of a cycle that begins then would be too near to the last one.
+    fn allowed_from(&self, program: &ShotProgram, due: Instant) -> Instant {
+        match self.last_injection.next_allowed(&self.limits) {
+            Some(allowed) if program.inject => {
+                due.max(allowed.checked_sub(injection_after(program)).unwrap_or(allowed))
+            }
+            _ => due,
+        }
+    }
+
+    fn refused(&self, doing: &str, why: String) -> DriverError {
+        DriverError::refused(self.wire.name(), doing, why, PANEL_HINT)
     }
 }
 
@@ -270,18 +279,13 @@ fn injection_after(program: &ShotProgram) -> Duration {
     Duration::from_nanos(program.period_ns * frames + program.injector_delay_ns)
 }
 
-fn decode_identity(text: &str) -> Option<Identity> {
-    let fields: Vec<_> = text.split(',').map(|field| field.trim().to_owned()).collect();
-    let [maker, model, serial, firmware] = <[String; 4]>::try_from(fields).ok()?;
-    (model == "DG645").then_some(Identity { maker, model, serial, firmware })
-}
-
 #[async_trait]
 impl TriggerUnit for Dg645 {
     async fn identify(&mut self) -> Result<Identity, DriverError> {
         let doing = "asking who it is";
         let answer = self.query(Key::Identity, 0, doing).await?.encode();
-        let identity = decode_identity(&answer).ok_or_else(|| {
+        let identity = Identity::of_fields(&answer).filter(|identity| identity.model == "DG645");
+        let identity = identity.ok_or_else(|| {
             self.wire.unexpected(doing, &answer, "expected maker, DG645, serial and version")
         })?;
         self.forget_errors(doing).await?;
@@ -292,16 +296,8 @@ impl TriggerUnit for Dg645 {
 
     async fn program(&mut self, program: &ShotProgram) -> Result<ShotProgram, DriverError> {
         let doing = "programming a burst";
-        (self.programmed, self.next_cycle) = (None, None);
-        let complaints = trigger_limits::complaints(program, &self.limits, &RANGE);
-        if !complaints.is_empty() {
-            return Err(DriverError::Limit {
-                who: self.wire.name().to_owned(),
-                doing: doing.to_owned(),
-                why: complaints.into_iter().map(|complaint| complaint.why).collect::<Vec<_>>().join("; "),
-                hint: "Change the times of the plan, or the limit if the rig really allows it.".to_owned(),
-            });
-        }
+        (self.programmed, self.next_cycle, self.is_ready) = (None, None, false);
+        trigger_limits::check(self.wire.name(), program, &self.limits, &RANGE)?;
         self.forget_errors(doing).await?;
         if self.is_busy(doing).await? {
             return Err(self.refused(doing, "the unit still makes pulses".to_owned()));
@@ -324,7 +320,7 @@ impl TriggerUnit for Dg645 {
         Ok(program.clone())
     }
 
-    async fn start(&mut self) -> Result<(), DriverError> {
+    async fn start(&mut self) -> Result<Begun, DriverError> {
         let doing = "starting a burst";
         if self.programmed.is_none() {
             return Err(self.refused(doing, "no burst has been programmed since the last error".to_owned()));
@@ -334,29 +330,19 @@ impl TriggerUnit for Dg645 {
             return Err(self.refused(doing, "the unit still makes pulses".to_owned()));
         }
         self.register(Key::InstrumentStatus, doing).await?;
-        self.next_cycle = Some(0);
-        Ok(())
+        (self.next_cycle, self.is_ready) = (Some(0), false);
+        let now = Instant::now();
+        Ok(Begun { earliest: now, latest: now })
     }
 
     fn is_begun_by_cycle(&self) -> bool {
         true
     }
 
-    async fn begin_cycle(&mut self, cycle: u32, due: Instant) -> Result<Instant, DriverError> {
-        let doing = "beginning a cycle";
-        let program = match (&self.programmed, self.next_cycle) {
-            (Some(program), Some(next)) if next == cycle && cycle < program.cycles => program.clone(),
-            _ => {
-                return Err(self.refused(doing, format!("cycle {cycle} is not the next one of the program")));
-            }
-        };
-        let mut due = due;
-        if program.inject
-            && let Some(allowed) = self.last_injection.next_allowed(&self.limits)
-        {
-            due = due.max(allowed.checked_sub(injection_after(&program)).unwrap_or(allowed));
-        }
-        sleep_until(due.checked_sub(PREPARATION).unwrap_or(due)).await;
+    async fn ready_cycle(&mut self, cycle: u32, due: Instant) -> Result<Instant, DriverError> {
+        let doing = "preparing a cycle";
+        let program = self.next_program(cycle, doing)?;
+        self.is_ready = false;
         self.check_power(doing).await?;
         self.await_rest(doing).await?;
         // Emptied, so that what it says after the trigger is about this trigger.
@@ -369,18 +355,32 @@ impl TriggerUnit for Dg645 {
                        the period";
             return Err(self.refused(doing, why.to_owned()));
         }
+        self.is_ready = true;
+        Ok(self.allowed_from(&program, due))
+    }
+
+    async fn begin_cycle(&mut self, cycle: u32, due: Instant) -> Result<Begun, DriverError> {
+        let doing = "beginning a cycle";
+        let program = self.next_program(cycle, doing)?;
+        let due = self.allowed_from(&program, due);
+        if !self.is_ready {
+            sleep_until(due.checked_sub(PREPARATION).unwrap_or(due)).await;
+            self.ready_cycle(cycle, due).await?;
+        }
         sleep_until(due).await;
-        self.next_cycle = Some(cycle + 1);
+        (self.next_cycle, self.is_ready) = (Some(cycle + 1), false);
         self.note_fired(&program);
         // Sent once: repeated it might be a second burst.
         let told = self.wire.tell(&Command::act(Key::Trigger).encode(), doing).await;
         // The line may have kept its pace first: the burst begins when the command has gone.
-        let fired = self.note_fired(&program);
+        let earliest = self.note_fired(&program);
         match told {
             Err(error) if !error.is_reopened() => return Err(error),
             _ => {}
         }
-        match self.query_once(Key::InstrumentStatus, 0, doing).await {
+        let asked = self.query_once(Key::InstrumentStatus, 0, doing).await;
+        let fired = Begun { earliest, latest: Instant::now() };
+        match asked {
             Ok(Value::Count(bits)) if bits & instrument_status::TRIGGER != 0 => Ok(fired),
             Ok(Value::Count(bits)) if bits & instrument_status::INHIBITED != 0 => {
                 Err(self.refused(doing, "its inhibit input keeps it from triggering".to_owned()))

@@ -376,11 +376,7 @@ pub fn encode_identity(identity: &Identity) -> String {
 /// # Errors
 /// When it has not four fields.
 pub fn decode_identity(text: &str) -> Result<Identity, &'static str> {
-    let fields: Vec<_> = text.split(',').map(|field| field.trim().to_owned()).collect();
-    match <[String; 4]>::try_from(fields) {
-        Ok([maker, model, serial, firmware]) => Ok(Identity { maker, model, serial, firmware }),
-        Err(_) => Err("expected maker, model, serial number and firmware"),
-    }
+    Identity::of_fields(text).ok_or("expected maker, model, serial number and firmware")
 }
 
 /// The two models.

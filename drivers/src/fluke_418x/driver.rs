@@ -4,7 +4,8 @@ use super::codec::{Command, Header, Model, decode_celsius, decode_flag, decode_i
 use crate::error::DriverError;
 use crate::instrument::{Calibrator, CalibratorSettings, Identity, MonitorReading, PlateReading};
 use crate::quantity::Kelvin;
-use crate::wire::{LineHabits, Sign, Wire};
+use crate::set_point::{LIMIT_HINT, SetPoint, check_limit};
+use crate::wire::{LineHabits, Sign, Tries, Wire};
 use async_trait::async_trait;
 use std::time::Duration;
 
@@ -23,9 +24,6 @@ const CONFIRM_TOLERANCE: f64 = 0.011;
 
 /// Emissivity settings have three digits (`0.950`).
 const CONFIRM_TOLERANCE_EMISSIVITY: f64 = 0.000_6;
-
-/// Tries of one query, each followed by finding the thread again. A third failure in a row is no accident.
-const QUERY_TRIES: u32 = 3;
 
 /// Tries of one set that is not confirmed.
 const SET_TRIES: u32 = 2;
@@ -72,32 +70,28 @@ impl Fluke418x {
         doing: &str,
     ) -> Result<T, DriverError> {
         let question = Command::query(header).encode();
-        let mut tries = 0;
+        let mut tries = Tries::default();
         loop {
-            tries += 1;
-            let error = match self.wire.ask(&question, doing).await {
+            let failure = match self.wire.ask(&question, doing).await {
                 Ok(answer) => match decode(&answer) {
                     Ok(value) => return Ok(value),
                     Err(why) => self.wire.unexpected(doing, &answer, why),
                 },
-                Err(error) => error,
+                Err(failure) => failure,
             };
-            match error {
-                // A line that could not be found again is dead: more tries would only take longer.
-                DriverError::Silent { tries: thread_tries, .. } if thread_tries > 1 => return Err(error),
-                DriverError::Silent { .. } if tries >= QUERY_TRIES => {
-                    return Err(self.explain_silence(error, tries, doing).await);
-                }
-                DriverError::Silent { .. } => {}
-                DriverError::Garbled { .. } if tries < QUERY_TRIES => {}
-                _ => return Err(error),
+            // A line that could not be found again needs no explanation.
+            let is_heard = matches!(failure, DriverError::Silent { tries: 1, .. });
+            match tries.again(failure) {
+                Ok(()) => {}
+                Err(silence) if is_heard => return Err(self.explain_silence(silence, doing).await),
+                Err(error) => return Err(error),
             }
         }
     }
 
     /// Bad commands get silence: after a time-out the error queue says whether it was the line or the command.
-    async fn explain_silence(&mut self, silence: DriverError, tries: u32, doing: &str) -> DriverError {
-        let DriverError::Silent { who, doing: act, waited, hint, .. } = silence else { return silence };
+    async fn explain_silence(&mut self, silence: DriverError, doing: &str) -> DriverError {
+        let DriverError::Silent { who, doing: act, waited, tries, hint } = silence else { return silence };
         // Asking finds the thread again first, since the wire is suspect.
         match self.wire.ask(&Command::query(Header::Error).encode(), doing).await {
             Ok(words) if is_complaint(&words) => {
@@ -181,12 +175,12 @@ impl Fluke418x {
         if !self.query(Header::Tripped, decode_flag, doing).await? {
             return Ok(());
         }
-        Err(DriverError::Interlock {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
-            why: "a cutout has tripped: the plate neither heats nor cools".to_owned(),
-            hint: "Find out why it became too hot, then clear the cutout at the keypad.".to_owned(),
-        })
+        Err(DriverError::interlock(
+            self.wire.name(),
+            doing,
+            "a cutout has tripped: the plate neither heats nor cools",
+            "Find out why it became too hot, then clear the cutout at the keypad.",
+        ))
     }
 
     /// Locks the keypad, so that nobody changes a set-point during a campaign. Where the instrument asks for a
@@ -201,30 +195,20 @@ impl Fluke418x {
         Ok(())
     }
 
-    fn check_target(
-        &self,
-        model: Model,
-        settings: &CalibratorSettings,
-        target_c: f64,
-    ) -> Result<(), DriverError> {
-        let doing = format!("setting {target_c:.2} °C");
-        let limit_c = settings.limit.celsius();
-        let (min_c, max_c) = (model.set_point_min_c(), model.set_point_max_c(settings.display_emissivity));
-        if !target_c.is_finite() {
-            Err(self.limit(&doing, "the set-point is not a number".to_owned()))
-        } else if target_c > limit_c {
-            Err(self.limit(&doing, format!("the configured limit is {limit_c:.2} °C")))
-        } else if target_c + CUTOUT_MARGIN_C > self.cutout_c {
+    /// What the unit itself allows.
+    fn check_target(&self, model: Model, emissivity: f64, target: &SetPoint) -> Result<(), DriverError> {
+        let SetPoint { celsius: target_c, doing } = target;
+        let (min_c, max_c) = (model.set_point_min_c(), model.set_point_max_c(emissivity));
+        if target_c + CUTOUT_MARGIN_C > self.cutout_c {
             let cutout_c = self.cutout_c;
             let why = format!(
                 "the unit's own soft cutout trips at {cutout_c:.0} °C; overshoot needs {CUTOUT_MARGIN_C} °C"
             );
-            Err(self.limit(&doing, why))
-        } else if target_c < min_c || target_c > max_c {
+            Err(self.limit(doing, why))
+        } else if *target_c < min_c || *target_c > max_c {
             let model = model.encode();
-            let emissivity = settings.display_emissivity;
             Err(self.limit(
-                &doing,
+                doing,
                 format!(
                     "a {model} goes from {min_c:.1} to {max_c:.1} °C at emissivity setting {emissivity:.3}"
                 ),
@@ -235,23 +219,16 @@ impl Fluke418x {
     }
 
     fn refused(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Refused {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
+        DriverError::refused(
+            self.wire.name(),
+            doing,
             why,
-            hint:
-                "Check at the keypad that the instrument is in its main menu and runs no program of its own."
-                    .to_owned(),
-        }
+            "Check at the keypad that the instrument is in its main menu and runs no program of its own.",
+        )
     }
 
     fn limit(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Limit {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
-            why,
-            hint: "Change the levels, or the limit if the rig really allows it.".to_owned(),
-        }
+        DriverError::limit(self.wire.name(), doing, why, LIMIT_HINT)
     }
 }
 
@@ -271,12 +248,12 @@ impl Calibrator for Fluke418x {
             Some(model) => self.model = Some(model),
             None => {
                 let model = &identity.model;
-                return Err(DriverError::Refused {
-                    who: self.wire.name().to_owned(),
-                    doing: doing.to_owned(),
-                    why: format!("it is a {model:?}, this driver is for 4180 and 4181"),
-                    hint: "Check the address: another instrument may sit on this line.".to_owned(),
-                });
+                return Err(DriverError::refused(
+                    self.wire.name(),
+                    doing,
+                    format!("it is a {model:?}, this driver is for 4180 and 4181"),
+                    "Check the address: another instrument may sit on this line.",
+                ));
             }
         }
         Ok(identity)
@@ -289,9 +266,7 @@ impl Calibrator for Fluke418x {
         self.settings = None;
         // Users Guide, command table: SOUR:EMIS, SOUR:RATE, SOUR:STAB:LIM.
         let stability_k = settings.stability.0;
-        if !settings.limit.0.is_finite() {
-            return Err(self.limit("preparing", "the configured limit is not a number".to_owned()));
-        }
+        check_limit(self.wire.name(), settings)?;
         for (name, value, least, greatest) in [
             ("emissivity setting", settings.display_emissivity, 0.9, 1.0),
             ("scan rate in K per minute", settings.rate_k_per_min, 0.1, 500.0),
@@ -330,14 +305,11 @@ impl Calibrator for Fluke418x {
     }
 
     async fn set_point(&mut self, target: Kelvin) -> Result<Kelvin, DriverError> {
-        let target_c = (target.celsius() * SET_POINT_STEPS_PER_C).round() / SET_POINT_STEPS_PER_C;
-        let doing = format!("setting {target_c:.2} °C");
-        let (Some(model), Some(settings)) = (self.model, self.settings.clone()) else {
-            return Err(
-                self.limit(&doing, "the limits are not known before the instrument is prepared".to_owned())
-            );
-        };
-        self.check_target(model, &settings, target_c)?;
+        let target = SetPoint::new(self.wire.name(), target, SET_POINT_STEPS_PER_C, self.settings.as_ref())?;
+        if let (Some(model), Some(settings)) = (self.model, &self.settings) {
+            self.check_target(model, settings.display_emissivity, &target)?;
+        }
+        let SetPoint { celsius: target_c, doing } = target;
         self.check_cutout(&doing).await?;
         for _ in 0..UNIT_TRIES {
             if !self.is_celsius(&doing).await? {
@@ -401,33 +373,95 @@ impl Calibrator for Fluke418x {
 
     async fn make_safe(&mut self) -> Result<PlateReading, DriverError> {
         self.heats = false;
-        // A unit that does not confirm its formats is sent to its rest all the same; the trouble is told at the end.
-        let formats = self.force_formats().await;
         let doing = "sending the plate to its rest";
-        self.set_confirmed(Header::SetPoint, SAFE_SET_POINT_C, CONFIRM_TOLERANCE, doing).await?;
+        // Each step is tried even if an earlier one failed, as long as the unit answers; what failed first is told.
+        let formats = answered(self.force_formats().await)?;
+        let rest = self.set_confirmed(Header::SetPoint, SAFE_SET_POINT_C, CONFIRM_TOLERANCE, doing).await;
+        let rest = answered(rest)?;
         // The display may fail where the block's sensor does not, and only the latter decides.
-        let block_c = self.query(Header::Block, decode_celsius, doing).await?;
-        if block_c < SWITCH_OFF_BELOW_C {
-            self.set_confirmed(Header::OutputState, 0.0, CONFIRM_TOLERANCE, "switching the output off")
-                .await?;
-        }
-        let apparent = self.query(Header::Temperature, decode_celsius, doing).await;
-        let reading = PlateReading {
-            apparent: Kelvin::from_celsius(apparent.unwrap_or(block_c)),
-            block: Kelvin::from_celsius(block_c),
-            set_point: Kelvin::from_celsius(SAFE_SET_POINT_C),
-            stable: self.query(Header::Stable, decode_flag, doing).await?,
-            tripped: self.query(Header::Tripped, decode_flag, doing).await?,
+        let block = answered(self.query(Header::Block, decode_celsius, doing).await)?;
+        // One that does not take its rest must not go on heating, however hot it is.
+        let output = if rest.is_err() || block.as_ref().is_ok_and(|celsius| *celsius < SWITCH_OFF_BELOW_C) {
+            let doing = "switching the output off";
+            answered(self.set_confirmed(Header::OutputState, 0.0, CONFIRM_TOLERANCE, doing).await)?
+                .map(|_| ())
+        } else {
+            Ok(())
         };
         // Whoever comes to the rig now needs the keypad. Where a password is asked for it was never locked.
         self.wire.tell(&Command::set(Header::KeypadLock, 0.0).encode(), "unlocking the keypad").await?;
-        formats.map(|_| reading)
+        let apparent = answered(self.query(Header::Temperature, decode_celsius, doing).await)?;
+        let stable = answered(self.query(Header::Stable, decode_flag, doing).await)?;
+        let tripped = answered(self.query(Header::Tripped, decode_flag, doing).await)?;
+        rest?;
+        output?;
+        formats?;
+        let block_c = block?;
+        Ok(PlateReading {
+            apparent: Kelvin::from_celsius(apparent.unwrap_or(block_c)),
+            block: Kelvin::from_celsius(block_c),
+            set_point: Kelvin::from_celsius(SAFE_SET_POINT_C),
+            // For the record only: what makes it safe is confirmed.
+            stable: stable.unwrap_or(false),
+            tripped: tripped.unwrap_or(false),
+        })
+    }
+}
+
+/// Passes on what a unit that answers has said, be it trouble; the outer error is that of a line on which nothing more can
+/// be done.
+fn answered<T>(result: Result<T, DriverError>) -> Result<Result<T, DriverError>, DriverError> {
+    match result {
+        Err(error) if error.is_missing_device() => Err(error),
+        other => Ok(other),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::LineDecoder;
+    use std::collections::HashMap;
+    use std::sync::{Arc, Mutex};
+    use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
+
+    /// A unit in whose memory everything lies that was told, but for a set-point that it does not take.
+    async fn stubborn(mut far: DuplexStream, memory: Arc<Mutex<HashMap<Header, String>>>) {
+        let mut decoder = LineDecoder::default();
+        while let Ok(byte) = far.read_u8().await {
+            let Some(Ok(line)) = decoder.push(byte) else { continue };
+            let command = Command::decode(&line).unwrap();
+            let answer = match (command.header, line.split_once(' ')) {
+                (Header::SetPoint, Some(_)) => None,
+                (header, Some((_, value))) => {
+                    memory.lock().unwrap().insert(header, value.to_owned());
+                    None
+                }
+                (Header::Identity, None) => Some("FLUKE,4181,A1,1.0".to_owned()),
+                (header, None) => memory.lock().unwrap().get(&header).cloned().or(Some("300.0".to_owned())),
+            };
+            if let Some(answer) = answer {
+                far.write_all(format!("{answer}\r").as_bytes()).await.unwrap();
+            }
+        }
+    }
+
+    /// It is hot, and does not take the set-point of its rest: its output is switched off, and the trouble is told.
+    #[tokio::test(start_paused = true)]
+    async fn a_plate_that_does_not_take_its_rest_does_not_heat_on() {
+        let (near, far) = duplex(256);
+        let memory: Arc<Mutex<HashMap<Header, String>>> = Arc::default();
+        memory.lock().unwrap().insert(Header::OutputState, "1".to_owned());
+        memory.lock().unwrap().insert(Header::Tripped, "0".to_owned());
+        memory.lock().unwrap().insert(Header::KeypadLock, "1".to_owned());
+        tokio::spawn(stubborn(far, Arc::clone(&memory)));
+        let mut plate = Fluke418x::new(Wire::over(near, "plate"));
+        let error = plate.make_safe().await.unwrap_err();
+        assert!(error.to_string().contains("told 25, holds 300"), "{error}");
+        let held = |header| memory.lock().unwrap().get(&header).cloned();
+        assert_eq!(held(Header::OutputState).as_deref(), Some("0"));
+        assert_eq!(held(Header::KeypadLock).as_deref(), Some("0"));
+    }
 
     #[test]
     fn an_empty_error_queue_is_no_complaint() {

@@ -3,7 +3,7 @@
 use super::GigeSettings;
 use super::worker::{Order, Worker};
 use crate::error::DriverError;
-use crate::instrument::{Camera, CameraSettings, Frame, Identity};
+use crate::instrument::{Camera, CameraClock, CameraSettings, Frame, Identity};
 use crate::quantity::Kelvin;
 use async_trait::async_trait;
 use std::time::Duration;
@@ -24,6 +24,8 @@ pub struct GigeCamera {
     reconnect: Duration,
     frames: Option<mpsc::Receiver<Result<Frame, DriverError>>>,
     counters: Vec<(&'static str, u64)>,
+    /// Who it was when it was asked first.
+    identity: Option<Identity>,
     /// The line is known to be gone: the camera must be opened anew.
     lost: bool,
 }
@@ -54,6 +56,7 @@ impl GigeCamera {
             reconnect: Duration::from_secs_f64(settings.reconnect_s.clamp(0.0, 3600.0)),
             frames: None,
             counters: Vec::new(),
+            identity: None,
             lost: false,
         };
         camera.order("opening it", Order::Open).await?;
@@ -87,12 +90,12 @@ impl GigeCamera {
     }
 
     fn dead(&self, doing: &str) -> DriverError {
-        DriverError::Lost {
-            who: self.who.clone(),
-            doing: doing.to_owned(),
-            why: "the camera's thread has ended".to_owned(),
-            hint: "This is a mistake of the program: please report it.".to_owned(),
-        }
+        DriverError::lost(
+            &self.who,
+            doing,
+            "the camera's thread has ended",
+            "This is a mistake of the program: please report it.",
+        )
     }
 
     /// Looks for a camera that has gone until it is there or the time is over.
@@ -115,13 +118,17 @@ impl GigeCamera {
 #[async_trait]
 impl Camera for GigeCamera {
     async fn identify(&mut self) -> Result<Identity, DriverError> {
-        self.order("asking who it is", Order::Identify).await
+        let identity = self.order("asking who it is", Order::Identify).await?;
+        self.identity = Some(identity.clone());
+        Ok(identity)
     }
 
     async fn prepare(&mut self, settings: &CameraSettings) -> Result<CameraSettings, DriverError> {
         self.frames = None;
         if self.lost {
             self.reopen().await?;
+            let found = self.order("asking who it is", Order::Identify).await?;
+            is_same(&self.who, self.identity.as_ref(), &found)?;
         }
         self.order("preparing", |answer| Order::Prepare(settings.clone(), answer)).await
     }
@@ -134,6 +141,10 @@ impl Camera for GigeCamera {
         self.order("taking a new offset", Order::CorrectOffset).await
     }
 
+    async fn clock(&mut self) -> Result<Option<CameraClock>, DriverError> {
+        self.order("asking for its clock", Order::Clock).await
+    }
+
     async fn start(&mut self) -> Result<(), DriverError> {
         self.frames = None;
         self.frames = Some(self.order("starting the stream", Order::Start).await?);
@@ -143,12 +154,7 @@ impl Camera for GigeCamera {
     async fn frame(&mut self, deadline: Duration) -> Result<Frame, DriverError> {
         const DOING: &str = "waiting for a frame";
         let Some(frames) = &mut self.frames else {
-            return Err(DriverError::Refused {
-                who: self.who.clone(),
-                doing: DOING.to_owned(),
-                why: "it was not started".to_owned(),
-                hint: "Start it first.".to_owned(),
-            });
+            return Err(DriverError::refused(&self.who, DOING, "it was not started", "Start it first."));
         };
         match timeout(deadline, frames.recv()).await {
             Ok(Some(Ok(frame))) => Ok(frame),
@@ -188,5 +194,39 @@ impl Camera for GigeCamera {
     /// A camera that is gone counts as safe: it makes no light and no pulse, and stops its stream by itself.
     async fn make_safe(&mut self) -> Result<(), DriverError> {
         self.stop().await
+    }
+}
+
+/// Another camera at the old address has another calibration: its counts would mean other temperatures.
+fn is_same(who: &str, before: Option<&Identity>, found: &Identity) -> Result<(), DriverError> {
+    let Some(before) = before else { return Ok(()) };
+    if (&before.model, &before.serial) == (&found.model, &found.serial) {
+        return Ok(());
+    }
+    let why = format!(
+        "{} {} answers where {} {} did before",
+        found.model, found.serial, before.model, before.serial
+    );
+    let hint = "Plug the right camera in again, or start a new campaign.";
+    Err(DriverError::refused(who, "asking who it is after it was gone", why, hint))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_camera_at_the_same_address_is_refused() {
+        let camera = |serial: &str| Identity {
+            maker: "maker".to_owned(),
+            model: "X6900sc".to_owned(),
+            serial: serial.to_owned(),
+            firmware: "1".to_owned(),
+        };
+        assert!(is_same("camera", None, &camera("7")).is_ok());
+        let updated = Identity { firmware: "2".to_owned(), ..camera("7") };
+        assert!(is_same("camera", Some(&camera("7")), &updated).is_ok());
+        let error = is_same("camera", Some(&camera("7")), &camera("8")).unwrap_err();
+        assert!(error.to_string().contains("X6900sc 8 answers where X6900sc 7"), "{error}");
     }
 }

@@ -17,7 +17,15 @@ mod camera;
 #[cfg(feature = "aravis")]
 mod device;
 #[cfg(feature = "aravis")]
+mod features;
+#[cfg(feature = "aravis")]
+mod frames;
+#[cfg(feature = "aravis")]
+mod orders;
+#[cfg(feature = "aravis")]
 pub mod probe;
+#[cfg(feature = "aravis")]
+mod stream;
 #[cfg(feature = "aravis")]
 mod worker;
 

@@ -1,10 +1,11 @@
 //! The thread of a GigE camera: orders in, answers and frames out.
 
 use super::GigeSettings;
-use super::device::{Device, Got};
+use super::device::Device;
 use super::sequence::Numbers;
+use super::stream::Got;
 use crate::error::DriverError;
-use crate::instrument::{CameraSettings, Frame, Identity};
+use crate::instrument::{CameraClock, CameraSettings, Frame, Identity};
 use crate::quantity::Kelvin;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
@@ -27,6 +28,7 @@ pub(super) enum Order {
     Prepare(CameraSettings, Answer<CameraSettings>),
     Shutter(bool, Answer<Option<Kelvin>>),
     CorrectOffset(Answer<()>),
+    Clock(Answer<Option<CameraClock>>),
     Start(Answer<mpsc::Receiver<Result<Frame, DriverError>>>),
     Stop(Answer<Vec<(&'static str, u64)>>),
 }
@@ -128,6 +130,7 @@ impl Thread {
             Order::CorrectOffset(answer) => {
                 drop(answer.send(self.with(|device| device.correct_offset())));
             }
+            Order::Clock(answer) => drop(answer.send(self.with(|device| device.clock()))),
             Order::Start(answer) => {
                 self.frames = None;
                 let (sender, receiver) = mpsc::channel(FRAMES_QUEUED_MAX);
@@ -162,12 +165,12 @@ impl Thread {
     fn with<T>(&mut self, act: impl FnOnce(&mut Device) -> Result<T, DriverError>) -> Result<T, DriverError> {
         match &mut self.device {
             Some(device) => act(device),
-            None => Err(DriverError::Lost {
-                who: self.who.clone(),
-                doing: "talking to it".to_owned(),
-                why: "it is not open".to_owned(),
-                hint: "Check the camera's power and network cable.".to_owned(),
-            }),
+            None => Err(DriverError::lost(
+                &self.who,
+                "talking to it",
+                "it is not open",
+                "Check the camera's power and network cable.",
+            )),
         }
     }
 }

@@ -6,12 +6,9 @@
 use super::{Scaled, number_in};
 use crate::error::DriverError;
 use crate::instrument::{Monitor, MonitorReading};
-use crate::wire::{LineHabits, Wire, WireSettings};
+use crate::wire::{LineHabits, Tries, Wire, WireSettings};
 use async_trait::async_trait;
 use std::time::Duration;
-
-/// Tries of one query; a third failure in a row is no accident.
-const QUERY_TRIES: u32 = 3;
 
 /// Common bit rate of such instruments; the configuration says another.
 const BAUD: u32 = 9600;
@@ -70,18 +67,12 @@ impl AsciiQuery {
 
     async fn answer(&mut self, query: &str) -> Result<String, DriverError> {
         let doing = format!("asking {query:?}");
-        let mut tries = 0;
+        let mut tries = Tries::default();
         loop {
-            tries += 1;
             match self.wire.ask(query, &doing).await {
-                Err(DriverError::Silent { who, doing, waited, hint, .. }) if tries >= QUERY_TRIES => {
-                    return Err(DriverError::Silent { who, doing, waited, tries, hint });
-                }
                 // Asking again does no harm, also on a line that was lost meanwhile.
-                Err(
-                    DriverError::Silent { .. } | DriverError::Garbled { .. } | DriverError::Reopened { .. },
-                ) if tries < QUERY_TRIES => {}
-                result => return result,
+                Err(failure) => tries.again_if_reopened(failure)?,
+                answer => return answer,
             }
         }
     }

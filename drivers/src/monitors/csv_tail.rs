@@ -55,6 +55,10 @@ impl CsvTail {
 
     /// The first line, the last whole line, and the file's length.
     fn look(&self) -> std::io::Result<(String, Option<String>, u64)> {
+        // A pipe would be waited for, and a device has no end.
+        if !std::fs::metadata(&self.path)?.is_file() {
+            return Err(std::io::Error::other("it is no file"));
+        }
         let mut file = File::open(&self.path)?;
         let length = file.metadata()?.len();
         let mut beginning = Vec::new();
@@ -218,6 +222,9 @@ mod tests {
         let gone = CsvTail::new(PathBuf::from("/no/such/file.csv"), ',', Duration::from_secs(1), vec![]);
         let mut gone = gone;
         assert!(matches!(gone.read().await, Err(DriverError::Missing { .. })));
+        let device = CsvTail::new(PathBuf::from("/dev/zero"), ',', Duration::from_secs(1), vec![]);
+        let mut device = device;
+        assert!(device.read().await.unwrap_err().to_string().contains("no file"));
         let file = Own::new("bad", "time,wall\n");
         assert!(matches!(file.monitor("wall").read().await, Err(DriverError::Silent { .. })));
         file.add("1,OVER\n");

@@ -6,19 +6,16 @@ use super::table::{Key, table_row};
 use super::value::{Value, encode_value};
 use super::{INJECTOR_CHANNEL, RANGE};
 use crate::error::DriverError;
-use crate::instrument::{Identity, ShotProgram, TriggerUnit};
+use crate::instrument::{Begun, Identity, ShotProgram, TriggerUnit};
 use crate::keyword::spell;
-use crate::trigger_limits::{self, LastInjection, TriggerLimits};
-use crate::wire::{LineHabits, Sign, Wire, WireSettings};
+use crate::trigger_limits::{self, LIMIT_HINT, LastInjection, PANEL_HINT, TriggerLimits};
+use crate::wire::{LineHabits, Sign, Tries, Wire, WireSettings};
 use async_trait::async_trait;
 use std::time::Duration;
 use tokio::time::Instant;
 
 /// Time that one command takes (manual, chapter 7: about 10 ms; faster sending may cause the unit not to respond).
 const COMMAND_TIME: Duration = Duration::from_millis(10);
-
-/// Tries of one exchange that may be repeated without harm.
-const EXCHANGE_TRIES: u32 = 3;
 
 /// Bit rate of the RS-232 port at delivery; the USB port comes with 38400.
 const BAUD: u32 = 115_200;
@@ -72,20 +69,12 @@ impl Quantum9520 {
 
     /// An exchange that may be repeated without harm.
     async fn exchange_patiently(&mut self, command: &Command, doing: &str) -> Result<Reply, DriverError> {
-        let mut tries = 0;
+        let mut tries = Tries::default();
         loop {
-            tries += 1;
             match self.exchange(command, doing).await {
-                Err(DriverError::Silent { who, doing, waited, tries: 1, hint })
-                    if tries >= EXCHANGE_TRIES =>
-                {
-                    return Err(DriverError::Silent { who, doing, waited, tries, hint });
-                }
-                Err(DriverError::Silent { tries: 1, .. }) => {}
-                Err(DriverError::Garbled { .. }) if tries < EXCHANGE_TRIES => {}
                 // What it holds is read back after every program, so that it may be said again.
-                Err(error) if error.is_reopened() && tries < EXCHANGE_TRIES => {}
-                result => return result,
+                Err(failure) => tries.again_if_reopened(failure)?,
+                reply => return reply,
             }
         }
     }
@@ -132,15 +121,6 @@ impl Quantum9520 {
         }
     }
 
-    fn check(&self, program: &ShotProgram) -> Result<(), DriverError> {
-        let complaints = trigger_limits::complaints(program, &self.limits, &RANGE);
-        if complaints.is_empty() {
-            return Ok(());
-        }
-        let why = complaints.into_iter().map(|complaint| complaint.why).collect::<Vec<_>>().join("; ");
-        Err(self.limit("programming a burst", why))
-    }
-
     /// The injections of one burst keep their distance by its cycle; this keeps it between two bursts.
     fn check_interval(&self, program: &ShotProgram) -> Result<(), DriverError> {
         if !program.inject {
@@ -150,7 +130,7 @@ impl Quantum9520 {
         let first = Instant::now() + Duration::from_nanos(first_ns + program.injector_delay_ns);
         match self.last_injection.complaint(first, &self.limits) {
             None => Ok(()),
-            Some(why) => Err(self.limit("starting a burst", why)),
+            Some(why) => Err(DriverError::limit(self.wire.name(), "starting a burst", why, LIMIT_HINT)),
         }
     }
 
@@ -169,7 +149,10 @@ impl Quantum9520 {
     async fn halt(&mut self, doing: &str) -> Result<(), DriverError> {
         let injector = self.switch_off(INJECTOR_CHANNEL, doing).await;
         let clock = self.switch_off(0, doing).await;
-        self.note_last_injection();
+        // A burst of which nobody knows that it has stopped goes on injecting: it is noted when that is known.
+        if injector.is_ok() || clock.is_ok() {
+            self.note_last_injection();
+        }
         injector.and(clock)
     }
 
@@ -182,29 +165,8 @@ impl Quantum9520 {
     }
 
     fn refused(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Refused {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
-            why,
-            hint: "Check that nobody works at its front panel, and switch it off and on if it persists."
-                .to_owned(),
-        }
+        DriverError::refused(self.wire.name(), doing, why, PANEL_HINT)
     }
-
-    fn limit(&self, doing: &str, why: String) -> DriverError {
-        DriverError::Limit {
-            who: self.wire.name().to_owned(),
-            doing: doing.to_owned(),
-            why,
-            hint: "Change the times of the plan, or the limit if the rig really allows it.".to_owned(),
-        }
-    }
-}
-
-fn decode_identity(text: &str) -> Option<Identity> {
-    let fields: Vec<_> = text.split(',').map(|field| field.trim().to_owned()).collect();
-    let [maker, model, serial, firmware] = <[String; 4]>::try_from(fields).ok()?;
-    Some(Identity { maker, model, serial, firmware })
 }
 
 #[async_trait]
@@ -216,7 +178,7 @@ impl TriggerUnit for Quantum9520 {
         self.tell(&Command::set(Key::Echo, Value::Flag(false)), "switching the echo off").await?;
         let answer = self.query(&Command::query(Key::Identity), doing).await?;
         let text = encode_value(Key::Identity, &answer);
-        decode_identity(&text).ok_or_else(|| {
+        Identity::of_fields(&text).ok_or_else(|| {
             self.wire.unexpected(doing, &text, "expected maker, model, serial number and version")
         })
     }
@@ -224,7 +186,7 @@ impl TriggerUnit for Quantum9520 {
     async fn program(&mut self, program: &ShotProgram) -> Result<ShotProgram, DriverError> {
         let doing = "programming a burst";
         self.programmed = None;
-        self.check(program)?;
+        trigger_limits::check(self.wire.name(), program, &self.limits, &RANGE)?;
         if self.is_running(doing).await? {
             return Err(self.refused(doing, "the unit still runs".to_owned()));
         }
@@ -252,7 +214,7 @@ impl TriggerUnit for Quantum9520 {
         Ok(program.clone())
     }
 
-    async fn start(&mut self) -> Result<(), DriverError> {
+    async fn start(&mut self) -> Result<Begun, DriverError> {
         let doing = "starting a burst";
         let Some(program) = self.programmed.clone() else {
             return Err(self.refused(doing, "no burst has been programmed since the last error".to_owned()));
@@ -266,15 +228,17 @@ impl TriggerUnit for Quantum9520 {
         self.started = Some(Started { program: program.clone(), at });
         // Sent once: repeated after a lost answer it might start a second burst. Whether it was taken, the unit's
         // state tells.
-        match self.exchange(&Command::set_channel(0, Key::State, Value::Flag(true)), doing).await {
-            Ok(_) | Err(DriverError::Silent { .. } | DriverError::Garbled { .. }) => {}
-            Err(error) if error.is_reopened() => {}
+        let taken = match self.exchange(&Command::set_channel(0, Key::State, Value::Flag(true)), doing).await
+        {
+            Ok(_) => Some(Instant::now()),
+            Err(DriverError::Silent { .. } | DriverError::Garbled { .. }) => None,
+            Err(error) if error.is_reopened() => None,
             Err(error) => return Err(error),
-        }
+        };
         let running = self.is_running(doing).await?;
         // A burst that is over already is no failure.
         if running || at.elapsed() >= Duration::from_nanos(program.burst_ns()) {
-            return Ok(());
+            return Ok(Begun { earliest: at, latest: taken.unwrap_or_else(Instant::now) });
         }
         Err(self.refused(doing, "told to run, it does not run".to_owned()))
     }

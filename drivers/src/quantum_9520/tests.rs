@@ -1,10 +1,20 @@
-//! The codec's laws and the manual's examples.
+//! The codec's laws and the manual's examples, and what the driver remembers of injections.
 
 use super::command::UNIT_ERRORS;
 use super::table::{DELAY_MAX_PS, Place, TABLE};
-use super::value::{decode_time, encode_time};
+use super::value::{decode_time, encode_time, encode_value};
 use super::*;
+use crate::error::DriverError;
+use crate::instrument::{ShotProgram, TriggerUnit};
+use crate::trigger_limits::TriggerLimits;
+use crate::wire::{LineDecoder, Wire};
 use proptest::prelude::*;
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
+use tokio::time::sleep;
 
 fn any_value(kind: Kind) -> BoxedStrategy<Option<Value>> {
     match kind {
@@ -139,4 +149,78 @@ fn an_unlocked_clock_is_told_from_a_locked_one() {
     assert!(read("0.1").is_err() && read("??").is_err());
     // A question mark has no place behind any other word.
     assert!(Reply::decode(Key::Polarity, "NORM?").is_err());
+}
+
+/// A unit that holds what it is told and runs when it is told to; mute on command.
+async fn unit(mut far: DuplexStream, mute: Arc<AtomicBool>) {
+    let mut decoder = LineDecoder::default();
+    let mut held: HashMap<(Option<u32>, Key), String> = HashMap::new();
+    while let Ok(byte) = far.read_u8().await {
+        let Some(Ok(line)) = decoder.push(byte) else { continue };
+        if mute.load(Ordering::Relaxed) {
+            continue;
+        }
+        let command = Command::decode(&line).unwrap();
+        let answer = match (&command.act, command.key) {
+            (Act::Set(Some(value)), key) => {
+                held.insert((command.channel, key), encode_value(key, value));
+                "ok".to_owned()
+            }
+            (Act::Set(None), _) => "ok".to_owned(),
+            (Act::Query(_), Key::Catalogue) => "T0,CHA,CHB".to_owned(),
+            (Act::Query(_), Key::ClockIn) => "SYS".to_owned(),
+            (Act::Query(_), Key::Running) => {
+                held.get(&(Some(0), Key::State)).cloned().unwrap_or("0".to_owned())
+            }
+            (Act::Query(_), key) => held[&(command.channel, key)].clone(),
+        };
+        far.write_all(format!("{answer}\r\n").as_bytes()).await.unwrap();
+    }
+}
+
+/// The line is dead while a burst is stopped, so that the burst goes on: its later injections count for the next one.
+#[tokio::test(start_paused = true)]
+async fn a_burst_that_could_not_be_stopped_counts_to_its_end() {
+    let limits = TriggerLimits {
+        injector_pulse_max_s: 0.005,
+        injection_interval_min_s: 15.0,
+        camera_integration_s: 25e-6,
+        camera_readout_s: 0.008,
+    };
+    // Injections 0, 15, 30, … s after the start.
+    let program = ShotProgram {
+        period_ns: 20_000_000,
+        wait_periods: 0,
+        warm_up: 0,
+        blanks: 0,
+        inject: true,
+        cycle_periods: 750,
+        cycles: 5,
+        camera_delay_ns: 900_000,
+        camera_width_ns: 25_000,
+        injector_delay_ns: 0,
+        injector_width_ns: 1_000_000,
+    };
+    let (near, far) = duplex(256);
+    let mute = Arc::new(AtomicBool::new(false));
+    tokio::spawn(unit(far, Arc::clone(&mute)));
+    let mut driver = Quantum9520::new(Wire::over(near, "trigger unit"), limits);
+    driver.program(&program).await.unwrap();
+    let begun = driver.start().await.unwrap();
+    assert!(begun.earliest <= begun.latest);
+    mute.store(true, Ordering::Relaxed);
+    assert!(driver.stop().await.is_err());
+    let failed_after = begun.earliest.elapsed();
+    assert!(failed_after < Duration::from_secs(28), "{failed_after:?}");
+    // It is heard again shortly after the injection at 30 s.
+    sleep(Duration::from_secs(31) - failed_after).await;
+    mute.store(false, Ordering::Relaxed);
+    driver.stop().await.unwrap();
+    driver.program(&program).await.unwrap();
+    // 15 s have gone since the failure, but not since that injection.
+    sleep(Duration::from_secs(44).saturating_sub(begun.earliest.elapsed())).await;
+    let error = driver.start().await.unwrap_err();
+    assert!(matches!(error, DriverError::Limit { .. }), "{error}");
+    sleep(Duration::from_secs(3)).await;
+    driver.start().await.unwrap();
 }

@@ -89,11 +89,11 @@ impl Wire {
 
     /// The line has ended: by an error of the system, or because the other side closed it.
     fn lost(&self, doing: &str, error: Option<&io::Error>) -> DriverError {
-        DriverError::Lost {
-            who: self.name.clone(),
-            doing: doing.to_owned(),
-            why: error.map_or_else(|| "the other side closed it".to_owned(), ToString::to_string),
-            hint: loss_hint(error).to_owned(),
-        }
+        DriverError::lost(
+            &self.name,
+            doing,
+            error.map_or_else(|| "the other side closed it".to_owned(), ToString::to_string),
+            loss_hint(error).to_owned(),
+        )
     }
 }

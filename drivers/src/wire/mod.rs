@@ -13,6 +13,7 @@ mod lines;
 mod open;
 mod reopen;
 mod text;
+mod tries;
 
 #[cfg(test)]
 mod tests;
@@ -22,6 +23,7 @@ pub use habits::{LineHabits, Sign};
 pub use lines::{Garbage, LINE_BYTES_MAX, LineDecoder};
 pub use open::{Opener, Opening, WireSettings, is_nobody_there};
 pub use reopen::Reopening;
+pub(crate) use tries::Tries;
 
 use crate::error::DriverError;
 use std::collections::VecDeque;

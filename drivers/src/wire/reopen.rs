@@ -50,12 +50,12 @@ impl Wire {
         if !self.gone {
             return Ok(());
         }
-        Err(DriverError::Lost {
-            who: self.name.clone(),
-            doing: doing.to_owned(),
-            why: "it was lost before".to_owned(),
-            hint: "Plug it in again and check its power.".to_owned(),
-        })
+        Err(DriverError::lost(
+            &self.name,
+            doing,
+            "it was lost before",
+            "Plug it in again and check its power.",
+        ))
     }
 
     /// Passes a result on; of a loss it makes a line that is open again, if the policy allows and the device is there.

@@ -13,13 +13,14 @@ use super::noise::{Purpose, Stream};
 use super::pulse::Pulse;
 use async_trait::async_trait;
 use ditd_drivers::error::DriverError;
-use ditd_drivers::instrument::{Camera, CameraSettings, Frame, Identity};
+use ditd_drivers::instrument::{Camera, CameraClock, CameraSettings, Frame, Identity};
 use ditd_drivers::quantity::Kelvin;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 
 /// Finished frames that wait to be fetched: 5.2 MB at 640 × 512 pixels of two bytes. When full, the task waits.
 pub const FRAMES_QUEUED_MAX: usize = 8;
@@ -66,6 +67,8 @@ pub struct WorldState {
 pub struct SimCamera {
     shared: Arc<Shared>,
     frames: mpsc::Receiver<Queued>,
+    /// Zero of the rig's clock, where the camera was told of it.
+    start: Option<Instant>,
     /// Ends with the camera.
     task: JoinHandle<()>,
 }
@@ -110,7 +113,14 @@ impl SimCamera {
         let shared = Arc::new(Shared { world, orders: Mutex::new(orders), state: Mutex::new(state) });
         let (sender, frames) = mpsc::channel(FRAMES_QUEUED_MAX);
         let body = Body { shared: Arc::clone(&shared), plate, faults, sender, stuck_in_run: None };
-        Self { shared, frames, task: tokio::spawn(body.live(pulses)) }
+        Self { shared, frames, start: None, task: tokio::spawn(body.live(pulses)) }
+    }
+
+    /// The same camera, which can tell what its clock shows: the rig's clock began at `start`.
+    #[must_use]
+    pub fn clock_from(mut self, start: Instant) -> Self {
+        self.start = Some(start);
+        self
     }
 
     /// What the camera's own clock showed at the rig's start, in nanoseconds.
@@ -198,6 +208,15 @@ impl Camera for SimCamera {
         Ok(closed.then_some(Kelvin(shutter_k)))
     }
 
+    async fn clock(&mut self) -> Result<Option<CameraClock>, DriverError> {
+        let now = Instant::now();
+        Ok(self.start.map(|start| {
+            let since_ns = u64::try_from((now - start).as_nanos()).unwrap_or(u64::MAX);
+            let device_ns = self.clock_zero_ns().saturating_add(since_ns);
+            CameraClock { device_ns, earliest: now, latest: now }
+        }))
+    }
+
     async fn start(&mut self) -> Result<(), DriverError> {
         while self.frames.try_recv().is_ok() {}
         let mut orders = lock(&self.shared.orders);
@@ -225,12 +244,9 @@ impl Camera for SimCamera {
         };
         match tokio::time::timeout(deadline, next).await {
             Ok(Some(frame)) => Ok(frame),
-            Ok(None) => Err(DriverError::Lost {
-                who: WHO.to_owned(),
-                doing: DOING.to_owned(),
-                why: "the trigger unit was switched off".to_owned(),
-                hint: "Start the rig anew.".to_owned(),
-            }),
+            Ok(None) => {
+                Err(DriverError::lost(WHO, DOING, "the trigger unit was switched off", "Start the rig anew."))
+            }
             Err(_) => Err(DriverError::Silent {
                 who: WHO.to_owned(),
                 doing: DOING.to_owned(),

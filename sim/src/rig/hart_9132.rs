@@ -3,7 +3,7 @@
 //! Same codec as the driver. What the manual leaves open can be chosen: how replies look, echo, unasked readings, and
 //! whether the commands beyond set-point, temperature and unit are known. Knows no heat: that is the plate's.
 
-use crate::rig::line::{Line, LineFault, Unsent, check_seconds};
+use crate::rig::line::{Line, LineFault, Unsent, check_replies, check_seconds};
 use crate::rig::plate::Plate;
 use ditd_drivers::hart_9132::{Command, Header, Scale, encode_told};
 use ditd_drivers::quantity::Kelvin;
@@ -77,10 +77,9 @@ impl HartBehaviour {
     /// # Errors
     /// Names the key whose value is impossible.
     pub fn check(&self) -> Result<(), String> {
-        check_seconds("reply_delay_s", self.reply_delay_s)?;
+        check_replies(self.reply_delay_s, &self.faults)?;
         check_seconds("sample_period_s", self.sample_period_s)?;
-        self.fahrenheit_at_s.iter().try_for_each(|at_s| check_seconds("fahrenheit_at_s", *at_s))?;
-        self.faults.iter().try_for_each(LineFault::check)
+        self.fahrenheit_at_s.iter().try_for_each(|at_s| check_seconds("fahrenheit_at_s", *at_s))
     }
 
     /// 15 characters at 2400 baud.
@@ -264,28 +263,18 @@ impl Unit {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::plate::{PlateFault, PlateModel};
+    use crate::rig::calibrator_bench::{assert_never_wrong, bad_answers, plate, settings};
+    use crate::rig::plate::PlateFault;
     use ditd_drivers::error::DriverError;
     use ditd_drivers::hart_9132::Hart9132;
-    use ditd_drivers::instrument::{Calibrator, CalibratorSettings};
-    use ditd_drivers::quantity::KelvinDelta;
+    use ditd_drivers::instrument::Calibrator;
     use ditd_drivers::wire::Wire;
     use tokio::io::duplex;
     use tokio::time::sleep;
 
-    fn settings() -> CalibratorSettings {
-        CalibratorSettings {
-            display_emissivity: 0.95,
-            limit: Kelvin(560.0),
-            rate_k_per_min: 100.0,
-            stability: KelvinDelta(0.4),
-        }
-    }
-
     fn driven(behaviour: HartBehaviour, faults: Vec<PlateFault>) -> (Hart9132, Arc<Mutex<Plate>>) {
         let (near, far) = duplex(256);
-        let model = PlateModel { faults, ..PlateModel::fluke_4181(296.15) };
-        let plate = Arc::new(Mutex::new(Plate::new(model, 3)));
+        let plate = plate(faults);
         tokio::spawn(serve(far, Arc::clone(&plate), behaviour, Instant::now()));
         (Hart9132::new(Wire::over(near, "plate calibrator")), plate)
     }
@@ -342,32 +331,13 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn bad_replies_never_make_a_wrong_reading() {
         for form in [ReplyForm::Labelled, ReplyForm::Bare] {
-            for fault in [
-                LineFault::Late { every: 7, delay_s: 2.4 },
-                LineFault::Garbled { every: 6 },
-                LineFault::Missing { every: 6 },
-                LineFault::Doubled { every: 6 },
-            ] {
+            for fault in bad_answers(&[2.4]) {
                 let behaviour =
                     HartBehaviour { form, faults: vec![fault.clone()], ..HartBehaviour::delivered() };
                 let (mut driver, plate) = driven(behaviour, Vec::new());
                 driver.identify().await.unwrap();
                 driver.prepare(&settings()).await.unwrap();
-                let mut good = 0;
-                for index in 0..100 {
-                    let target_k = 330.0 + f64::from(index % 10) * 7.0;
-                    let Ok(taken) = driver.set_point(Kelvin(target_k)).await else { continue };
-                    assert!((taken.0 - target_k).abs() < 0.01, "{fault:?}");
-                    let Ok(reading) = driver.read().await else { continue };
-                    let true_k = plate.lock().unwrap().surface_k();
-                    assert!(
-                        (reading.set_point.0 - target_k).abs() < 0.01,
-                        "{fault:?} {reading:?}, sent {target_k}"
-                    );
-                    // The plate moves by at most 0.5 K/s during the exchanges of one reading.
-                    assert!((reading.apparent.0 - true_k).abs() < 15.0, "{fault:?} {reading:?} {true_k}");
-                    good += 1;
-                }
+                let good = assert_never_wrong(&mut driver, &plate, &fault, 100, 15.0).await;
                 assert!(good > 50, "{fault:?}: {good}");
             }
         }

@@ -2,7 +2,7 @@
 //!
 //! Same codec and registers as the driver. Knows no heat: that is the plate's.
 
-use crate::rig::line::{Line, LineFault, Unsent, check_seconds};
+use crate::rig::line::{Line, LineFault, Unsent, check_replies};
 use crate::rig::plate::Plate;
 use ditd_drivers::ir_301::{MODEL, Register, UNIT, decode_celsius, encode_celsius};
 use ditd_drivers::modbus::{Answer, Question, cut_question};
@@ -47,8 +47,7 @@ impl Ir301Behaviour {
     /// # Errors
     /// Names the key whose value is impossible.
     pub fn check(&self) -> Result<(), String> {
-        check_seconds("reply_delay_s", self.reply_delay_s)?;
-        self.faults.iter().try_for_each(LineFault::check)
+        check_replies(self.reply_delay_s, &self.faults)
     }
 
     /// 8 characters at 19200 baud and the controller's own loop.
@@ -141,28 +140,18 @@ fn percent(duty: f64) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::plate::{PlateFault, PlateModel};
+    use crate::rig::calibrator_bench::{assert_never_wrong, bad_answers, plate, settings};
+    use crate::rig::plate::PlateFault;
     use ditd_drivers::error::DriverError;
-    use ditd_drivers::instrument::{Calibrator, CalibratorSettings};
+    use ditd_drivers::instrument::Calibrator;
     use ditd_drivers::ir_301::Ir301;
-    use ditd_drivers::quantity::KelvinDelta;
     use ditd_drivers::wire::Wire;
     use tokio::io::duplex;
     use tokio::time::sleep;
 
-    fn settings() -> CalibratorSettings {
-        CalibratorSettings {
-            display_emissivity: 0.95,
-            limit: Kelvin(560.0),
-            rate_k_per_min: 100.0,
-            stability: KelvinDelta(0.4),
-        }
-    }
-
     async fn prepared(behaviour: Ir301Behaviour, faults: Vec<PlateFault>) -> (Ir301, Arc<Mutex<Plate>>) {
         let (near, far) = duplex(256);
-        let model = PlateModel { faults, ..PlateModel::fluke_4181(296.15) };
-        let plate = Arc::new(Mutex::new(Plate::new(model, 3)));
+        let plate = plate(faults);
         tokio::spawn(serve(far, Arc::clone(&plate), behaviour, Instant::now()));
         let mut driver = Ir301::new(Wire::over(near, "plate calibrator"));
         driver.identify().await.unwrap();
@@ -193,30 +182,10 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn bad_replies_never_make_a_wrong_reading() {
-        for fault in [
-            LineFault::Late { every: 7, delay_s: 1.2 },
-            LineFault::Late { every: 7, delay_s: 2.9 },
-            LineFault::Garbled { every: 6 },
-            LineFault::Missing { every: 6 },
-            LineFault::Doubled { every: 6 },
-        ] {
+        for fault in bad_answers(&[1.2, 2.9]) {
             let behaviour = Ir301Behaviour { faults: vec![fault.clone()], ..Ir301Behaviour::delivered() };
             let (mut driver, plate) = prepared(behaviour, Vec::new()).await;
-            let mut good = 0;
-            for index in 0..200 {
-                let target_k = 330.15 + f64::from(index % 10) * 7.0;
-                let Ok(taken) = driver.set_point(Kelvin(target_k)).await else { continue };
-                assert!((taken.0 - target_k).abs() < 0.01, "{fault:?}");
-                let Ok(reading) = driver.read().await else { continue };
-                let true_k = plate.lock().unwrap().surface_k();
-                assert!(
-                    (reading.set_point.0 - target_k).abs() < 0.01,
-                    "{fault:?} {reading:?}, sent {target_k}"
-                );
-                // The plate moves by at most 0.5 K/s during the exchanges of one reading.
-                assert!((reading.apparent.0 - true_k).abs() < 10.0, "{fault:?} {reading:?} {true_k}");
-                good += 1;
-            }
+            let good = assert_never_wrong(&mut driver, &plate, &fault, 200, 10.0).await;
             assert!(good > 150, "{fault:?}: {good}");
         }
     }

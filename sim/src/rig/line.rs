@@ -82,6 +82,12 @@ impl LineFault {
     }
 }
 
+/// What every instrument's behaviour on its line must be: a delay of its replies, and faults that can be played.
+pub(super) fn check_replies(reply_delay_s: f64, faults: &[LineFault]) -> Result<(), String> {
+    check_seconds("reply_delay_s", reply_delay_s)?;
+    faults.iter().try_for_each(LineFault::check)
+}
+
 fn check_every(every: u64) -> Result<(), String> {
     if every > 0 { Ok(()) } else { Err("every = 0: replies are counted from 1".to_owned()) }
 }

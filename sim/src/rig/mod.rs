@@ -1,6 +1,8 @@
 //! The simulated rig: one physical world behind every instrument's own protocol.
 
 pub mod build;
+#[cfg(test)]
+mod calibrator_bench;
 pub mod camera;
 pub mod chamber;
 pub mod config;

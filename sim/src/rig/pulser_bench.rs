@@ -1,5 +1,6 @@
 //! What the tests of the trigger units share: a unit on an in-memory line, its driver, and the pulses that are meant.
 
+use super::line::LineFault;
 use super::pulse::Pulse;
 use super::pulser::{self, PulserBehaviour, TriggerFault};
 use ditd_drivers::TRIGGER_UNITS;
@@ -10,7 +11,7 @@ use ditd_drivers::wire::Wire;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 use tokio::sync::mpsc;
-use tokio::time::{Instant, timeout};
+use tokio::time::{Instant, sleep, timeout};
 
 pub(super) fn limits() -> TriggerLimits {
     TriggerLimits {
@@ -59,11 +60,60 @@ pub(super) fn with(fault: TriggerFault) -> PulserBehaviour {
 
 /// Begins every cycle of a started burst when it is due, as the campaign does.
 pub(super) async fn begin_all(unit: &mut dyn TriggerUnit, program: &ShotProgram) -> Result<(), DriverError> {
-    let first = unit.begin_cycle(0, Instant::now() + Duration::from_nanos(program.frame_ns(0, 0))).await?;
+    let first = Instant::now() + Duration::from_nanos(program.frame_ns(0, 0));
+    let first = unit.begin_cycle(0, first).await?.earliest;
     for cycle in 1..program.cycles {
         unit.begin_cycle(cycle, first + Duration::from_nanos(u64::from(cycle) * program.cycle_ns())).await?;
     }
     Ok(())
+}
+
+/// Programs a burst and runs it to its end; the pulses that came.
+pub(super) async fn run(
+    unit: &mut dyn TriggerUnit,
+    mut receiver: mpsc::Receiver<Pulse>,
+    program: &ShotProgram,
+) -> Result<Vec<Pulse>, DriverError> {
+    unit.program(program).await?;
+    let collected = tokio::spawn(async move { all(&mut receiver).await });
+    unit.start().await?;
+    begin_all(unit, program).await?;
+    Ok(collected.await.unwrap())
+}
+
+/// Bad answers cost time, and change no pulse. `made` is as [`made`] for the unit.
+pub(super) async fn assert_bad_answers_change_nothing(
+    driver: &str,
+    made: fn(&[Pulse], &ShotProgram) -> Vec<(u64, Option<(u64, u64)>)>,
+) {
+    for fault in [
+        LineFault::Late { every: 9, delay_s: 1.3 },
+        LineFault::Garbled { every: 9 },
+        LineFault::Missing { every: 9 },
+        LineFault::Doubled { every: 9 },
+        LineFault::Missing { every: 4 },
+    ] {
+        let behaviour = PulserBehaviour { line_faults: vec![fault.clone()], ..PulserBehaviour::delivered() };
+        let (mut unit, receiver) = driven(driver, behaviour);
+        let pulses = run(unit.as_mut(), receiver, &program()).await.unwrap();
+        assert_eq!(made(&pulses, &program()), meant(&program()), "{fault:?}");
+    }
+}
+
+/// A unit that does not answer any more is silent, one whose line was pulled is lost: told, and not waited for.
+pub(super) async fn assert_a_dead_unit_is_told(driver: &str) {
+    let silent = PulserBehaviour {
+        line_faults: vec![LineFault::Silent { from_s: 10.0 }],
+        ..PulserBehaviour::delivered()
+    };
+    for (behaviour, is_lost) in [(silent, false), (with(TriggerFault::LinePulled { at_s: 10.0 }), true)] {
+        let (mut unit, _pulses) = driven(driver, behaviour);
+        unit.identify().await.unwrap();
+        sleep(Duration::from_secs(10)).await;
+        let error = unit.make_safe().await.unwrap_err();
+        assert_eq!(matches!(error, DriverError::Lost { .. }), is_lost, "{error}");
+        assert_eq!(matches!(error, DriverError::Silent { .. }), !is_lost, "{error}");
+    }
 }
 
 /// Takes pulses until none has come for a whole cycle.

@@ -1,15 +1,16 @@
 //! The unit against its sources, and the driver over it.
 
-use crate::rig::line::LineFault;
 use crate::rig::pulse::Pulse;
 use crate::rig::pulser::{PulserBehaviour, TriggerFault};
-use crate::rig::pulser_bench::{all, begin_all, driven, heard, meant, program, served, with};
+use crate::rig::pulser_bench::{
+    all, assert_a_dead_unit_is_told, assert_bad_answers_change_nothing, begin_all, driven, heard, meant,
+    program, run, served, with,
+};
 use ditd_drivers::error::DriverError;
 use ditd_drivers::instrument::{ShotProgram, TriggerUnit};
 use ditd_drivers::quantum_9520::UnitError;
 use std::time::Duration;
 use tokio::io::DuplexStream;
-use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep};
 
 const DRIVER: &str = "dg645";
@@ -33,19 +34,6 @@ fn made(pulses: &[Pulse], program: &ShotProgram) -> Vec<(u64, Option<(u64, u64)>
         }
     }
     made
-}
-
-async fn run(
-    unit: &mut dyn TriggerUnit,
-    receiver: mpsc::Receiver<Pulse>,
-    program: &ShotProgram,
-) -> Result<Vec<Pulse>, DriverError> {
-    let mut receiver = receiver;
-    unit.program(program).await?;
-    let collected = tokio::spawn(async move { all(&mut receiver).await });
-    unit.start().await?;
-    begin_all(unit, program).await?;
-    Ok(collected.await.unwrap())
 }
 
 async fn told(near: &mut DuplexStream, commands: &[&str]) {
@@ -273,18 +261,7 @@ async fn a_unit_that_was_switched_off_and_on_is_noticed() {
 
 #[tokio::test(start_paused = true)]
 async fn faults_of_the_line_do_not_change_the_program() {
-    for fault in [
-        LineFault::Late { every: 9, delay_s: 1.3 },
-        LineFault::Garbled { every: 9 },
-        LineFault::Missing { every: 9 },
-        LineFault::Doubled { every: 9 },
-        LineFault::Missing { every: 4 },
-    ] {
-        let behaviour = PulserBehaviour { line_faults: vec![fault.clone()], ..PulserBehaviour::delivered() };
-        let (mut unit, receiver) = driven(DRIVER, behaviour);
-        let pulses = run(unit.as_mut(), receiver, &program()).await.unwrap();
-        assert_eq!(made(&pulses, &program()), meant(&program()), "{fault:?}");
-    }
+    assert_bad_answers_change_nothing(DRIVER, made).await;
 }
 
 #[tokio::test(start_paused = true)]
@@ -301,16 +278,5 @@ async fn the_injector_is_off_even_if_the_clock_is_not_confirmed() {
 
 #[tokio::test(start_paused = true)]
 async fn a_dead_unit_is_silent_and_a_pulled_line_is_lost() {
-    let silent = LineFault::Silent { from_s: 10.0 };
-    let behaviour = PulserBehaviour { line_faults: vec![silent], ..PulserBehaviour::delivered() };
-    let (mut unit, _pulses) = driven(DRIVER, behaviour);
-    unit.identify().await.unwrap();
-    sleep(Duration::from_secs(10)).await;
-    let error = unit.make_safe().await.unwrap_err();
-    assert!(matches!(error, DriverError::Silent { .. }), "{error}");
-    let (mut unit, _pulses) = driven(DRIVER, with(TriggerFault::LinePulled { at_s: 10.0 }));
-    unit.identify().await.unwrap();
-    sleep(Duration::from_secs(10)).await;
-    let error = unit.make_safe().await.unwrap_err();
-    assert!(matches!(error, DriverError::Lost { .. }), "{error}");
+    assert_a_dead_unit_is_told(DRIVER).await;
 }

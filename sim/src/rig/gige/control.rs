@@ -171,7 +171,8 @@ impl Control {
     }
 
     fn now_ns(&self) -> u64 {
-        self.clock.raw_ns().wrapping_sub(self.flags.clock_zero_ns.load(Ordering::Relaxed))
+        let since_reset = self.clock.raw_ns().wrapping_sub(self.flags.clock_zero_ns.load(Ordering::Relaxed));
+        since_reset.wrapping_add_signed(self.flags.clock_error_ns.load(Ordering::Relaxed))
     }
 
     async fn hear(&mut self, client: SocketAddrV4, bytes: &[u8]) {

@@ -83,12 +83,12 @@ impl Camera for PatternCamera {
     async fn prepare(&mut self, settings: &CameraSettings) -> Result<CameraSettings, DriverError> {
         let own = &self.settings;
         if (settings.rows, settings.columns, settings.bits) != (own.rows, own.columns, own.bits) {
-            return Err(DriverError::Refused {
-                who: WHO.to_owned(),
-                doing: "setting the region".to_owned(),
-                why: format!("{settings:?} asked, it has {own:?}"),
-                hint: "Ask for what it has.".to_owned(),
-            });
+            return Err(DriverError::refused(
+                WHO,
+                "setting the region",
+                format!("{settings:?} asked, it has {own:?}"),
+                "Ask for what it has.",
+            ));
         }
         self.settings.integration_s = settings.integration_s;
         Ok(settings.clone())
@@ -120,12 +120,12 @@ impl Camera for PatternCamera {
         let device_ns = match tokio::time::timeout(deadline, next).await {
             Ok(Some(device_ns)) => device_ns,
             Ok(None) => {
-                return Err(DriverError::Lost {
-                    who: WHO.to_owned(),
-                    doing: DOING.to_owned(),
-                    why: "nobody makes pulses any more".to_owned(),
-                    hint: "Start the rig anew.".to_owned(),
-                });
+                return Err(DriverError::lost(
+                    WHO,
+                    DOING,
+                    "nobody makes pulses any more",
+                    "Start the rig anew.",
+                ));
             }
             Err(_) => {
                 return Err(DriverError::Silent {

@@ -14,7 +14,7 @@ use ditd_drivers::error::DriverError;
 use ditd_drivers::instrument::{Camera, CameraSettings, Frame};
 use ditd_drivers::quantity::Kelvin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
@@ -106,6 +106,8 @@ pub(super) struct Flags {
     pub(super) spoiled: Arc<AtomicBool>,
     /// Raw clock, in nanoseconds, at the last reset of the clock.
     pub(super) clock_zero_ns: Arc<AtomicU64>,
+    /// By how much a fault has put the clock forward, in nanoseconds.
+    pub(super) clock_error_ns: Arc<AtomicI64>,
 }
 
 /// The task.
@@ -278,8 +280,9 @@ impl Streamer {
             return Ok(None);
         }
         let zero_ns = self.flags.clock_zero_ns.load(Ordering::Relaxed);
-        let timestamp_ns =
-            frame.device_ns.saturating_sub(zero_ns).saturating_add_signed(faults.clock_error_ns(ordinal));
+        let error_ns = faults.clock_error_ns(ordinal);
+        self.flags.clock_error_ns.store(error_ns, Ordering::Relaxed);
+        let timestamp_ns = frame.device_ns.saturating_sub(zero_ns).saturating_add_signed(error_ns);
         let spoiled = self.flags.spoiled.load(Ordering::Relaxed);
         let (payload, present_bytes) =
             plan.layout.payload(frame, Stamp { block: id, timestamp_ns, spoiled })?;

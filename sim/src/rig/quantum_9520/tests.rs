@@ -1,8 +1,10 @@
 //! The unit against the manual, and the driver over it.
 
-use crate::rig::line::LineFault;
 use crate::rig::pulser::{self, PulserBehaviour, TriggerFault};
-use crate::rig::pulser_bench::{all, driven, heard, limits, made, meant, program, served, with};
+use crate::rig::pulser_bench::{
+    all, assert_a_dead_unit_is_told, assert_bad_answers_change_nothing, driven, heard, limits, made, meant,
+    program, run, served, with,
+};
 use ditd_drivers::error::DriverError;
 use ditd_drivers::instrument::{ShotProgram, TriggerUnit};
 use ditd_drivers::quantum_9520::{Quantum9520, UnitError};
@@ -80,11 +82,8 @@ async fn a_programmed_burst_makes_exactly_the_pulses_that_are_meant() {
 #[tokio::test(start_paused = true)]
 async fn a_campaign_of_five_hours_costs_nothing_and_keeps_its_times_exactly() {
     let program = ShotProgram { period_ns: 10_000_130, cycle_periods: 1500, cycles: 1200, ..program() };
-    let (mut unit, mut receiver) = driven(DRIVER, PulserBehaviour::delivered());
-    unit.program(&program).await.unwrap();
-    let collected = tokio::spawn(async move { all(&mut receiver).await });
-    unit.start().await.unwrap();
-    let pulses = collected.await.unwrap();
+    let (mut unit, receiver) = driven(DRIVER, PulserBehaviour::delivered());
+    let pulses = run(unit.as_mut(), receiver, &program).await.unwrap();
     assert_eq!(made(&pulses, &program), meant(&program));
 }
 
@@ -274,11 +273,8 @@ async fn the_clock_is_stopped_even_if_the_injector_is_not() {
 #[tokio::test(start_paused = true)]
 async fn lost_pulses_are_lost_and_the_others_keep_their_times() {
     let program = program();
-    let (mut unit, mut receiver) = driven(DRIVER, with(TriggerFault::DropsCameraPulse { pulse: 8 }));
-    unit.program(&program).await.unwrap();
-    let collected = tokio::spawn(async move { all(&mut receiver).await });
-    unit.start().await.unwrap();
-    let pulses = collected.await.unwrap();
+    let (mut unit, receiver) = driven(DRIVER, with(TriggerFault::DropsCameraPulse { pulse: 8 }));
+    let pulses = run(unit.as_mut(), receiver, &program).await.unwrap();
     let mut expected = meant(&program);
     expected.remove(8);
     assert_eq!(made(&pulses, &program), expected);
@@ -366,29 +362,10 @@ async fn a_booting_unit_is_waited_for_and_not_locked_up() {
 
 #[tokio::test(start_paused = true)]
 async fn faults_of_the_line_do_not_change_the_program() {
-    for fault in [
-        LineFault::Late { every: 9, delay_s: 1.3 },
-        LineFault::Garbled { every: 9 },
-        LineFault::Missing { every: 9 },
-        LineFault::Doubled { every: 9 },
-    ] {
-        let behaviour = PulserBehaviour { line_faults: vec![fault.clone()], ..PulserBehaviour::delivered() };
-        let (mut unit, mut receiver) = driven(DRIVER, behaviour);
-        unit.program(&program()).await.unwrap();
-        let collected = tokio::spawn(async move { all(&mut receiver).await });
-        unit.start().await.unwrap();
-        let pulses = collected.await.unwrap();
-        assert_eq!(made(&pulses, &program()), meant(&program()), "{fault:?}");
-    }
+    assert_bad_answers_change_nothing(DRIVER, made).await;
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_dead_unit_is_silent() {
-    let silent = LineFault::Silent { from_s: 10.0 };
-    let behaviour = PulserBehaviour { line_faults: vec![silent], ..PulserBehaviour::delivered() };
-    let (mut unit, _pulses) = driven(DRIVER, behaviour);
-    unit.identify().await.unwrap();
-    sleep(Duration::from_secs(10)).await;
-    let error = unit.make_safe().await.unwrap_err();
-    assert!(matches!(error, DriverError::Silent { .. }), "{error}");
+async fn a_dead_unit_is_silent_and_a_pulled_line_is_lost() {
+    assert_a_dead_unit_is_told(DRIVER).await;
 }

@@ -313,7 +313,7 @@ impl Camera for Scripted {
 
 fn gone() -> DriverError {
     let text = |text: &str| text.to_owned();
-    DriverError::Lost { who: text("scripted"), doing: text("x"), why: text("the end"), hint: text("none") }
+    DriverError::lost(text("scripted"), text("x"), text("the end"), text("none"))
 }
 
 #[tokio::test]

@@ -2,17 +2,26 @@
 //!
 //! Pure: time is handed in, effects are handed out and carried out elsewhere.
 
+mod power;
+mod store;
+
+#[cfg(test)]
+mod tests;
+
 use super::bootstrap::*;
-use super::feature::{Access, Feature, Kind, double, word};
+use super::feature::{Access, FEATURES_BASE, Feature, Kind, word};
 use super::gvcp::Status;
 use super::gvsp::IdMode;
-use super::profile::{Profile, encoded};
+use super::profile::Profile;
 use super::xml;
 use std::collections::BTreeMap;
 use std::net::SocketAddrV4;
 
 const FIRE_TEST_PACKET: u32 = 1 << 31;
 const DO_NOT_FRAGMENT: u32 = 1 << 30;
+
+/// Packet size after switching on, in bytes.
+const PACKET_DEFAULT: u32 = 1500 | DO_NOT_FRAGMENT;
 
 /// Packet sizes taken, in bytes, and their grain: the least that every IP host takes, and a jumbo frame.
 const PACKET_SIZES: [u32; 2] = [576, 9000];
@@ -78,7 +87,7 @@ impl Device {
         // Clients read whole words.
         description.resize(description.len().next_multiple_of(4), b'\n');
         let last = features.last().expect("every make has features");
-        let memory = vec![0; (last.address + last.kind.bytes() - super::feature::FEATURES_BASE) as usize];
+        let memory = vec![0; (last.address + last.kind.bytes() - FEATURES_BASE) as usize];
         let mut device = Self {
             features,
             bootstrap: vec![0; BOOTSTRAP_BYTES as usize],
@@ -93,74 +102,6 @@ impl Device {
         };
         device.power_on(now_ns);
         device
-    }
-
-    /// All registers as after switching on, control with nobody. The user's name stays: it is kept in the camera.
-    pub(super) fn power_on(&mut self, now_ns: u64) {
-        let name = self.text(USER_NAME, USER_NAME_BYTES);
-        self.bootstrap.fill(0);
-        self.banks.clear();
-        (self.controller, self.acquiring, self.armed) = (None, false, false);
-        self.switched_on_ns = now_ns;
-        for index in 0..self.features.len() {
-            let initial = self.features[index].initial.clone();
-            self.store(index, &initial);
-        }
-        for (name, value) in self.profile.initial.clone() {
-            let index = self.index(&name);
-            let bytes = encoded(&self.features[index].kind, value).expect("checked when the camera was made");
-            self.store(index, &bytes);
-        }
-        self.bootstrap_defaults(&name);
-        self.refresh(now_ns);
-    }
-
-    fn bootstrap_defaults(&mut self, user_name: &[u8]) {
-        let identity = self.profile.identity.clone();
-        let [.., high, low] = self.profile.address.octets();
-        for (address, value) in [
-            // GigE Vision 2.0.
-            (VERSION, 0x0002_0000),
-            // Big-endian, UTF-8.
-            (MODE, 0x8000_0001),
-            // A locally administered MAC with the end of the address in it.
-            (MAC_HIGH, 0x0000_0200),
-            (MAC_LOW, 0x5D17_0000 | u32::from(high) << 8 | u32::from(low)),
-            (IP_CAPABILITY, 1),
-            (IP_CONFIGURATION, 1),
-            (IP_ADDRESS, self.profile.address.to_bits()),
-            (IP_MASK, 0xFF00_0000),
-            (INTERFACES, 1),
-            (STREAM_CHANNELS, 1),
-            // Stream source port register, 64-bit block ids.
-            (GVSP_CAPABILITY, 0xC000_0000),
-            // User name, serial number, heartbeat can be disabled; PENDING_ACK, resend, WRITEMEM, concatenation.
-            (GVCP_CAPABILITY, 0xE000_0027),
-            (HEARTBEAT_TIMEOUT, 3000),
-            (TICKS_HIGH, 0),
-            (TICKS_LOW, TICKS_PER_SECOND),
-            (PENDING_TIMEOUT, u32::from(PENDING_MS)),
-            (PACKET_SIZE, 1500 | DO_NOT_FRAGMENT),
-            (STREAM_SOURCE_PORT, u32::from(self.profile.stream_port)),
-        ] {
-            self.set_word(address, value);
-        }
-        let url = format!("Local:ditd_camera.xml;{XML_BASE:X};{:X}", self.description.len());
-        for (address, bytes, text) in [
-            (MAKER, 32, identity.maker.as_bytes()),
-            (MODEL, 32, identity.model.as_bytes()),
-            (DEVICE_VERSION, 32, identity.firmware.as_bytes()),
-            (MAKER_INFO, 48, b"simulated infrared camera".as_slice()),
-            (SERIAL, 16, identity.serial.as_bytes()),
-            (USER_NAME, USER_NAME_BYTES as usize, user_name),
-            (XML_URL, 512, url.as_bytes()),
-        ] {
-            // The last byte stays 0 but for the serial number, whose 16 characters all count.
-            let room = if address == SERIAL { bytes } else { bytes - 1 };
-            let start = address as usize;
-            let count = text.len().min(room);
-            self.bootstrap[start..start + count].copy_from_slice(&text[..count]);
-        }
     }
 
     /// Make, detector and names.
@@ -249,11 +190,9 @@ impl Device {
     }
 
     fn bytes(&self, address: u32, count: u32) -> Option<&[u8]> {
-        for (base, memory) in [
-            (0, &self.bootstrap),
-            (super::feature::FEATURES_BASE, &self.memory),
-            (XML_BASE, &self.description),
-        ] {
+        for (base, memory) in
+            [(0, &self.bootstrap), (FEATURES_BASE, &self.memory), (XML_BASE, &self.description)]
+        {
             if let Some(start) = address.checked_sub(base)
                 && (start as usize) < memory.len()
             {
@@ -464,213 +403,6 @@ impl Device {
             self.store(index, &(waiting | arm | started).to_be_bytes());
             let index = self.index("DeviceNotReady");
             self.store(index, &u32::from(!ready).to_be_bytes());
-        }
-    }
-
-    /// Address of a feature's register, which a client reads from the description.
-    #[cfg(test)]
-    pub(super) fn address_of(&self, name: &str) -> Option<u32> {
-        self.find(name).map(|index| self.features[index].address)
-    }
-
-    pub(super) fn find(&self, name: &str) -> Option<usize> {
-        self.features.iter().position(|feature| feature.name == name)
-    }
-
-    pub(super) fn index(&self, name: &str) -> usize {
-        self.find(name).unwrap_or_else(|| panic!("the table of every make has {name}"))
-    }
-
-    pub(super) fn integer(&self, name: &str) -> u32 {
-        word(self.value(self.index(name)))
-    }
-
-    pub(super) fn float(&self, name: &str) -> f64 {
-        double(self.value(self.index(name)))
-    }
-
-    fn span(&self, index: usize) -> std::ops::Range<usize> {
-        let feature = &self.features[index];
-        let start = (feature.address - super::feature::FEATURES_BASE) as usize;
-        start..start + feature.kind.bytes() as usize
-    }
-
-    pub(super) fn value(&self, index: usize) -> &[u8] {
-        &self.memory[self.span(index)]
-    }
-
-    /// The value of a selected feature for one value of its selector.
-    pub(super) fn banked(&self, index: usize, selector: u32) -> &[u8] {
-        self.banks.get(&(index, selector)).map_or(&self.features[index].initial, |bytes| bytes)
-    }
-
-    /// Stores a feature's value; a selected feature's also behind its selector, and a selector brings the values
-    /// behind it to the front.
-    fn store(&mut self, index: usize, bytes: &[u8]) {
-        let span = self.span(index);
-        self.memory[span].copy_from_slice(bytes);
-        if let Some(selector) = self.features[index].selector {
-            let selected = self.integer(selector);
-            self.banks.insert((index, selected), bytes.to_vec());
-        }
-        let name = self.features[index].name;
-        for other in 0..self.features.len() {
-            if self.features[other].selector == Some(name) {
-                let front = self.banked(other, word(bytes)).to_vec();
-                let span = self.span(other);
-                self.memory[span].copy_from_slice(&front);
-            }
-        }
-    }
-
-    pub(super) fn word(&self, address: u32) -> u32 {
-        word(&self.bootstrap[address as usize..])
-    }
-
-    fn set_word(&mut self, address: u32, value: u32) {
-        let start = address as usize;
-        self.bootstrap[start..start + 4].copy_from_slice(&value.to_be_bytes());
-    }
-
-    fn text(&self, address: u32, bytes: u32) -> Vec<u8> {
-        let field = &self.bootstrap[address as usize..(address + bytes) as usize];
-        field.iter().copied().take_while(|&byte| byte != 0).collect()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::rig::gige::plan::Trigger;
-    use crate::rig::gige::presets::{Preset, Sensor};
-    use ditd_drivers::instrument::Identity;
-    use std::net::Ipv4Addr;
-
-    const OWNER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 5000);
-    const SECOND: u64 = 1_000_000_000;
-
-    fn device(preset: Preset) -> Device {
-        let text = |text: &str| text.to_owned();
-        let identity = Identity {
-            maker: text("m"),
-            model: text("a model with a name of more than 31 letters"),
-            serial: text("s"),
-            firmware: text("f"),
-        };
-        let profile = Profile {
-            preset,
-            sensor: Sensor { rows: 512, columns: 640, bits: 14, shutter: false },
-            identity,
-            address: Ipv4Addr::new(127, 0, 0, 9),
-            stream_port: 4000,
-            cool_down_ns: SECOND,
-            initial: vec![("AcquisitionMode".to_owned(), 1.0)],
-        };
-        profile.check().expect("possible");
-        let mut device = Device::new(profile, 0);
-        device.write(OWNER, CONTROL, &[0, 0, 0, 2], 0).expect("nobody has control");
-        device
-    }
-
-    fn set(device: &mut Device, feature: &str, bytes: &[u8]) -> Result<Option<Effect>, Status> {
-        let address = device.address_of(feature).expect("the feature is there");
-        device.write(OWNER, address, bytes, 2 * SECOND)
-    }
-
-    #[test]
-    fn doubles_may_come_in_halves() {
-        let mut device = device(Preset::Generic);
-        let address = device.address_of("ExposureTime").unwrap();
-        let bytes = 25.0_f64.to_be_bytes();
-        // 1000.0 with the upper half of 25.0 is 25.0 already: its lower half is zero, as that of 1000.0.
-        device.write(OWNER, address, &bytes[..4], 0).unwrap();
-        device.write(OWNER, address + 4, &bytes[4..], 0).unwrap();
-        assert!((device.plan().settings.integration_s - 25e-6).abs() < 1e-15);
-        // A half that makes nonsense is refused and changes nothing.
-        assert_eq!(device.write(OWNER, address, &[0xFF; 4], 0), Err(Status::InvalidParameter));
-        assert!((device.plan().settings.integration_s - 25e-6).abs() < 1e-15);
-    }
-
-    #[test]
-    fn regions_never_leave_the_detector() {
-        let mut device = device(Preset::Telops);
-        let put = |device: &mut Device, name: &str, value: u32| set(device, name, &value.to_be_bytes());
-        assert_eq!(put(&mut device, "OffsetY", 1), Err(Status::InvalidParameter));
-        put(&mut device, "Height", 102).unwrap();
-        put(&mut device, "OffsetY", 412).unwrap();
-        assert_eq!(put(&mut device, "Height", 103), Err(Status::InvalidParameter));
-        assert_eq!(put(&mut device, "Height", 2), Err(Status::InvalidParameter));
-        assert_eq!(put(&mut device, "Width", 60), Err(Status::InvalidParameter));
-        let layout = device.plan().layout;
-        assert_eq!((layout.rows, layout.header_rows, layout.offset_y), (100, 2, 412));
-    }
-
-    #[test]
-    fn what_lies_behind_a_selector_stays_apart() {
-        let mut device = device(Preset::Telops);
-        let mut put = |name: &str, value: u32| set(&mut device, name, &value.to_be_bytes()).unwrap();
-        put("TriggerSelector", 2);
-        put("TriggerMode", 1);
-        put("TriggerSource", 48);
-        put("TriggerSelector", 0);
-        assert_eq!(device.trigger(), Trigger::Free);
-        let mut put = |name: &str, value: u32| set(&mut device, name, &value.to_be_bytes()).unwrap();
-        put("TriggerMode", 1);
-        put("TriggerSelector", 1);
-        assert_eq!(device.trigger(), Trigger::Software);
-        set(&mut device, "TriggerSelector", &[0; 4]).unwrap();
-        set(&mut device, "TriggerSource", &48_u32.to_be_bytes()).unwrap();
-        assert_eq!(device.trigger(), Trigger::External);
-    }
-
-    #[test]
-    fn locked_while_the_stream_runs_and_cold_before_it_does() {
-        let mut device = device(Preset::Generic);
-        let start = device.address_of("AcquisitionStart").unwrap();
-        let one = [0, 0, 0, 1];
-        assert_eq!(device.write(OWNER, start, &one, SECOND / 2), Err(Status::Busy));
-        assert_eq!(device.write(OWNER, start, &one, SECOND), Ok(Some(Effect::Start)));
-        device.set_acquiring(true, SECOND);
-        assert_eq!(device.write(OWNER, start, &one, SECOND), Ok(None));
-        assert_eq!(set(&mut device, "Width", &[0, 0, 1, 0]), Err(Status::Busy));
-        assert_eq!(device.write(OWNER, PACKET_SIZE, &[0, 0, 5, 0], SECOND), Err(Status::Busy));
-        // Closing the stream's port stops it.
-        assert_eq!(device.write(OWNER, STREAM_PORT, &[0; 4], SECOND), Ok(Some(Effect::Stop)));
-        // The clock's reset does not warm the camera up.
-        device.set_acquiring(false, SECOND);
-        assert_eq!(
-            device.write(OWNER, TIMESTAMP_CONTROL, &[0, 0, 0, 1], SECOND),
-            Ok(Some(Effect::ClockReset))
-        );
-        assert_eq!(device.write(OWNER, start, &one, 0), Ok(Some(Effect::Start)));
-    }
-
-    #[test]
-    fn names_are_cut_and_initial_values_kept_over_a_restart() {
-        let mut device = device(Preset::Flir);
-        assert_eq!(&device.discovery()[0x68..0x88], b"a model with a name of more tha\0");
-        assert_eq!(device.plan().frames_max, Some(1));
-        set(&mut device, "AcquisitionMode", &[0; 4]).unwrap();
-        assert_eq!(device.plan().frames_max, None);
-        device.power_on(5 * SECOND);
-        assert_eq!((device.plan().frames_max, device.controller()), (Some(1), None));
-    }
-
-    /// No address and no length makes it panic, whoever asks.
-    #[test]
-    fn every_address_can_be_asked_for() {
-        let mut device = device(Preset::Generic);
-        let addresses = (0..0x1100).chain(0x0001_0000..0x0001_0400).chain(0x0010_0000..0x0010_0040);
-        for address in addresses.chain([0x7FFF_FFFC, u32::MAX - 3, u32::MAX]) {
-            for count in [0, 1, 4, 8, 536] {
-                let read = device.read(OWNER, address, count, SECOND);
-                assert!(read.is_err() || read.is_ok_and(|bytes| bytes.len() == count as usize));
-            }
-            for bytes in [&[][..], &[0; 4], &[0xFF; 4], &[0xFF; 8], &[0; 536]] {
-                if address != CONTROL {
-                    let _ = device.write(OWNER, address, bytes, SECOND);
-                }
-            }
         }
     }
 }
