@@ -15,11 +15,16 @@ mod inputs;
 mod kernel;
 mod known;
 mod lanes;
+mod lines;
+mod pool;
 mod residuals;
 mod rows;
 mod single;
 mod solver;
+mod statistics;
 mod thermometer;
+mod verdict;
+mod weights;
 
 use super::accumulate::Sums;
 use super::budget::Budget;
@@ -202,9 +207,9 @@ impl<F: Number> DitMap<F> {
     fn keep_counts(&mut self, sums: &Sums) {
         let pixels = sums.rows() * sums.columns();
         for level in sums.levels() {
-            self.count.extend_from_slice(&level.count);
+            self.count.extend((0..pixels).map(|pixel| level.count(pixel)));
         }
-        if sums.levels().iter().any(|level| !level.outliers.is_empty()) {
+        if sums.levels().iter().any(|level| level.has_outliers()) {
             for level in sums.levels() {
                 self.rejected.extend((0..pixels).map(|pixel| level.outliers(pixel)));
             }

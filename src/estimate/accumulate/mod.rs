@@ -5,97 +5,70 @@
 //! threads and any merge of partial sums gives the same bits, and a cycle can be taken out again exactly.
 //! Knows nothing of files, time or which frames belong together.
 
-use rayon::prelude::*;
+mod add;
+mod error;
+mod planes;
+
+use add::How;
+pub use error::AccumulateError;
+use planes::Cell;
+pub(super) use planes::{Cells, Narrow, Planes, Wide, Width};
 
 /// Largest number of blanks in a cycle: |Y| ≤ 256 · 65535 < 2²⁴ then, so that Y fits i32 and Y² fits 48 bit.
 pub const BLANKS_MAX: u16 = 256;
 
-/// Pixels that one task handles: 8192 · 32 B of sums stay in a core's second-level cache.
-const CHUNK_PIXELS: usize = 8192;
-
-/// Why a cycle was not accepted.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum AccumulateError {
-    /// a cycle has {given} blanks where {expected} are expected. Check `blanks` of the campaign.
-    #[error("a cycle has {given} blanks where {expected} are expected. Check `blanks` of the campaign.")]
-    Blanks {
-        /// Blanks handed in.
-        given: usize,
-        /// Blanks per cycle of these sums.
-        expected: usize,
-    },
-    /// a frame has {given} pixels where {expected} are expected. Check the camera's region of interest.
-    #[error(
-        "a frame has {given} pixels where {expected} are expected. Check the camera's region of interest."
-    )]
-    Pixels {
-        /// Pixels handed in.
-        given: usize,
-        /// rows · columns of these sums.
-        expected: usize,
-    },
-    /// level {level} does not exist: there are {levels}.
-    #[error("level {level} does not exist: there are {levels}.")]
-    Level {
-        /// Level asked for, from 0.
-        level: usize,
-        /// Number of levels.
-        levels: usize,
-    },
-    /// level {level} holds {cycles} cycles, more would overflow the sums of squares. Use fewer blanks per cycle.
-    #[error(
-        "level {level} holds {cycles} cycles, more would overflow the sums of squares. Use fewer blanks per cycle."
-    )]
-    Full {
-        /// Level, from 0.
-        level: usize,
-        /// Cycles it holds.
-        cycles: u32,
-    },
-    /// level {level} holds no cycle that could be taken out.
-    #[error("level {level} holds no cycle that could be taken out.")]
-    Empty {
-        /// Level, from 0.
-        level: usize,
-    },
-    /// sums of different shape, number of blanks or saturation count cannot be merged.
-    #[error("sums of different shape, number of blanks or saturation count cannot be merged.")]
-    Unlike,
-    /// {blanks} blanks per cycle: 1 to 256 are possible.
-    #[error("{blanks} blanks per cycle: 1 to 256 are possible.")]
-    BlanksPerCycle {
-        /// Blanks per cycle asked for.
-        blanks: u16,
-    },
-}
-
-/// Sums of one level, each `[rows · columns]` in row order.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// Sums of one level.
+#[derive(Debug, Clone)]
 pub struct LevelSums {
-    /// Cycles added, valid or not.
-    pub cycles: u32,
-    /// ΣY over the cycles that count for the pixel, Y = b·spray − Σ blanks, in counts · b.
-    pub sum: Vec<i64>,
-    /// ΣY², in (counts · b)².
-    pub sum_squares: Vec<u64>,
-    /// Sum of all blank samples of the cycles that count, in counts: count · b samples.
-    pub sum_blanks: Vec<u64>,
-    /// Cycles that count for the pixel: all b + 1 samples below the saturation count.
-    pub count: Vec<u32>,
+    cycles: u32,
+    /// Empty memory or stale where there is no cycle.
+    cells: Cells,
     /// Cycles that were taken out for the pixel alone; empty if there are none.
-    pub outliers: Vec<u16>,
+    outliers: Vec<u16>,
 }
 
 impl LevelSums {
     fn new(pixels: usize) -> Self {
-        Self {
-            cycles: 0,
-            sum: vec![0; pixels],
-            sum_squares: vec![0; pixels],
-            sum_blanks: vec![0; pixels],
-            count: vec![0; pixels],
-            outliers: Vec::new(),
-        }
+        Self { cycles: 0, cells: Cells::new(pixels), outliers: Vec::new() }
+    }
+
+    /// Cycles added, valid or not.
+    pub fn cycles(&self) -> u32 {
+        self.cycles
+    }
+
+    /// The sums themselves; None without a cycle, whatever is in memory then.
+    pub(super) fn cells(&self) -> Option<&Cells> {
+        (self.cycles > 0).then_some(&self.cells)
+    }
+
+    fn at(&self, pixel: usize) -> Cell {
+        self.cells().map_or(Cell::default(), |cells| cells.at(pixel))
+    }
+
+    /// ΣY over the cycles that count for the pixel, Y = b·spray − Σ blanks, in counts · b.
+    pub fn sum(&self, pixel: usize) -> i64 {
+        self.at(pixel).sum
+    }
+
+    /// ΣY², in (counts · b)².
+    pub fn sum_squares(&self, pixel: usize) -> u64 {
+        self.at(pixel).squares
+    }
+
+    /// Sum of all blank samples of the cycles that count, in counts: count · b samples.
+    pub fn sum_blanks(&self, pixel: usize) -> u64 {
+        self.at(pixel).blanks
+    }
+
+    /// Cycles that count for the pixel: all b + 1 samples below the saturation count.
+    pub fn count(&self, pixel: usize) -> u32 {
+        self.at(pixel).count
+    }
+
+    /// Whether a cycle was taken out of any pixel alone.
+    pub fn has_outliers(&self) -> bool {
+        !self.outliers.is_empty()
     }
 
     /// Cycles that were taken out for the pixel alone.
@@ -105,7 +78,14 @@ impl LevelSums {
 
     /// Cycles in which a sample of the pixel was saturated.
     pub fn saturated(&self, pixel: usize) -> u32 {
-        self.cycles - self.count[pixel] - self.outliers(pixel)
+        self.cycles - self.count(pixel) - self.outliers(pixel)
+    }
+
+    /// Makes the sums wide where so many cycles might not fit narrow ones.
+    fn make_room(&mut self, cycles: u32, blanks_per_cycle: u16) {
+        if cycles > planes::narrow_max(blanks_per_cycle) {
+            self.cells.widen();
+        }
     }
 }
 
@@ -114,7 +94,7 @@ impl LevelSums {
 /// Limits: Σ Y² is kept in u64, so a level takes at most `cycles_max()` cycles, ⌊(2⁶⁴−1)/(b·65535)²⌋ (4.29e9 for
 /// b = 1, 4.3e7 for b = 10, 65 540 for b = 256); |ΣY| is then below 2⁴⁸ and Σ blanks below 2⁵⁶. The limit is
 /// checked when a cycle is added or sums are merged.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub struct Sums {
     rows: usize,
     columns: usize,
@@ -122,6 +102,20 @@ pub struct Sums {
     saturation_count: u16,
     levels: Vec<LevelSums>,
 }
+
+/// Equal settings and equal sums of every pixel, however wide they are kept.
+impl PartialEq for Sums {
+    fn eq(&self, other: &Self) -> bool {
+        let pixels = 0..self.rows * self.columns;
+        let equal = |(a, b): (&LevelSums, &LevelSums)| {
+            a.cycles == b.cycles
+                && pixels.clone().all(|i| a.at(i) == b.at(i) && a.outliers(i) == b.outliers(i))
+        };
+        self.like(other) && self.levels.iter().zip(&other.levels).all(equal)
+    }
+}
+
+impl Eq for Sums {}
 
 impl Sums {
     /// Empty sums. A sample counts if it is *below* `saturation_count`.
@@ -196,8 +190,7 @@ impl Sums {
         if cycles >= self.cycles_max() {
             return Err(AccumulateError::Full { level, cycles });
         }
-        self.levels[level].cycles = cycles + 1;
-        self.apply(level, &[Cycle { blanks, spray }], Sign::Add);
+        self.add(level, cycles + 1, &[Cycle { blanks, spray }]);
         Ok(())
     }
 
@@ -213,10 +206,9 @@ impl Sums {
         let Some(held) = self.levels.get(level).map(|level| level.cycles) else { return Ok(()) };
         let more = u32::try_from(cycles.len()).ok().and_then(|more| held.checked_add(more));
         match more {
-            Some(sum) if sum <= self.cycles_max() => self.levels[level].cycles = sum,
+            Some(sum) if sum <= self.cycles_max() => self.add(level, sum, cycles),
             _ => return Err(AccumulateError::Full { level, cycles: held }),
         }
-        self.apply(level, cycles, Sign::Add);
         Ok(())
     }
 
@@ -234,7 +226,7 @@ impl Sums {
         self.check(level, blanks, spray)?;
         let cycles = self.levels[level].cycles;
         self.levels[level].cycles = cycles.checked_sub(1).ok_or(AccumulateError::Empty { level })?;
-        self.apply(level, &[Cycle { blanks, spray }], Sign::Remove);
+        self.apply(level, &[Cycle { blanks, spray }], How::Remove);
         Ok(())
     }
 
@@ -249,13 +241,10 @@ impl Sums {
         if spray[pixel] >= saturation || blanks.iter().any(|blank| blank[pixel] >= saturation) {
             return;
         }
-        let lit: u64 = blanks.iter().map(|blank| u64::from(blank[pixel])).sum();
-        let signed = i64::try_from(lit).expect("256 samples of 16 bits");
-        let y = i64::from(self.blanks_per_cycle) * i64::from(spray[pixel]) - signed;
-        level.sum[pixel] -= y;
-        level.sum_squares[pixel] -= y.unsigned_abs() * y.unsigned_abs();
-        level.sum_blanks[pixel] -= lit;
-        level.count[pixel] -= 1;
+        // At most 256 samples of 16 bits.
+        let lit: u32 = blanks.iter().map(|blank| u32::from(blank[pixel])).sum();
+        let all = u32::from(self.blanks_per_cycle) * u32::from(spray[pixel]);
+        level.cells.remove(pixel, all.cast_signed() - lit.cast_signed(), lit);
         if level.outliers.is_empty() {
             level.outliers = vec![0; pixels];
         }
@@ -264,13 +253,9 @@ impl Sums {
 
     /// Forgets all cycles and keeps the memory.
     pub fn clear(&mut self) {
-        for LevelSums { cycles, sum, sum_squares, sum_blanks, count, outliers } in &mut self.levels {
-            *cycles = 0;
-            outliers.clear();
-            sum.fill(0);
-            sum_squares.fill(0);
-            sum_blanks.fill(0);
-            count.fill(0);
+        for level in &mut self.levels {
+            level.cycles = 0;
+            level.outliers.clear();
         }
     }
 
@@ -280,12 +265,7 @@ impl Sums {
     ///
     /// When the settings differ or a level would overflow; the sums are then unchanged.
     pub fn merge(&mut self, other: &Self) -> Result<(), AccumulateError> {
-        let like = self.rows == other.rows
-            && self.columns == other.columns
-            && self.blanks_per_cycle == other.blanks_per_cycle
-            && self.saturation_count == other.saturation_count
-            && self.levels.len() == other.levels.len();
-        if !like {
+        if !self.like(other) {
             return Err(AccumulateError::Unlike);
         }
         for (level, (to, from)) in self.levels.iter().zip(&other.levels).enumerate() {
@@ -294,11 +274,15 @@ impl Sums {
             }
         }
         for (to, from) in self.levels.iter_mut().zip(&other.levels) {
-            to.cycles += from.cycles;
-            to.sum.iter_mut().zip(&from.sum).for_each(|(a, b)| *a += b);
-            to.sum_squares.iter_mut().zip(&from.sum_squares).for_each(|(a, b)| *a += b);
-            to.sum_blanks.iter_mut().zip(&from.sum_blanks).for_each(|(a, b)| *a += b);
-            to.count.iter_mut().zip(&from.count).for_each(|(a, b)| *a += b);
+            let Some(cells) = from.cells() else { continue };
+            let cycles = to.cycles + from.cycles;
+            if to.cycles == 0 {
+                to.cells.clone_from(cells);
+            } else {
+                to.make_room(cycles, self.blanks_per_cycle);
+                to.cells.merge(cells);
+            }
+            to.cycles = cycles;
             if to.outliers.is_empty() {
                 to.outliers.clone_from(&from.outliers);
             } else {
@@ -324,20 +308,29 @@ impl Sums {
         }
     }
 
-    /// Every part of the image takes all cycles before the next part, so that its sums stay in the cache.
-    fn apply(&mut self, level: usize, cycles: &[Cycle<'_>], sign: Sign) {
-        let saturation = self.saturation_count;
-        let LevelSums { sum, sum_squares, sum_blanks, count, .. } = &mut self.levels[level];
-        sum.par_chunks_mut(CHUNK_PIXELS)
-            .zip(sum_squares.par_chunks_mut(CHUNK_PIXELS))
-            .zip(sum_blanks.par_chunks_mut(CHUNK_PIXELS))
-            .zip(count.par_chunks_mut(CHUNK_PIXELS))
-            .enumerate()
-            .for_each(|(chunk, (((sum, sum_squares), sum_blanks), count))| {
-                let target = Target { sum, sum_squares, sum_blanks, count };
-                let from = chunk * CHUNK_PIXELS;
-                pulp::Arch::new().dispatch(Part { target, from, cycles, saturation, sign });
-            });
+    fn like(&self, other: &Self) -> bool {
+        self.rows == other.rows
+            && self.columns == other.columns
+            && self.blanks_per_cycle == other.blanks_per_cycle
+            && self.saturation_count == other.saturation_count
+            && self.levels.len() == other.levels.len()
+    }
+
+    fn add(&mut self, level: usize, sum: u32, cycles: &[Cycle<'_>]) {
+        let blanks = self.blanks_per_cycle;
+        let to = &mut self.levels[level];
+        to.make_room(sum, blanks);
+        let how = if to.cycles == 0 { How::Put } else { How::Add };
+        to.cycles = sum;
+        self.apply(level, cycles, how);
+    }
+
+    fn apply(&mut self, level: usize, cycles: &[Cycle<'_>], how: How) {
+        let settings = add::Settings { saturation: self.saturation_count, how };
+        match &mut self.levels[level].cells {
+            Cells::Narrow(planes) => add::apply(planes, cycles, settings),
+            Cells::Wide(planes) => add::apply(planes, cycles, settings),
+        }
     }
 }
 
@@ -348,129 +341,6 @@ pub struct Cycle<'a> {
     pub blanks: &'a [&'a [u16]],
     /// The spray frame.
     pub spray: &'a [u16],
-}
-
-/// A part of the image and the cycles that it takes.
-struct Part<'a> {
-    target: Target<'a>,
-    from: usize,
-    cycles: &'a [Cycle<'a>],
-    saturation: u16,
-    sign: Sign,
-}
-
-impl pulp::WithSimd for Part<'_> {
-    type Output = ();
-
-    // Plain loops over integers: the compiler makes vectors of them, here for the widest the machine has.
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(mut self, _: S) {
-        let range = self.from..self.from + self.target.sum.len();
-        for cycle in self.cycles {
-            let spray = &cycle.spray[range.clone()];
-            match (cycle.blanks, self.sign) {
-                ([blank], Sign::Add) => self.target.pair::<1>(&blank[range.clone()], spray, self.saturation),
-                ([blank], Sign::Remove) => {
-                    self.target.pair::<-1>(&blank[range.clone()], spray, self.saturation);
-                }
-                (blanks, Sign::Add) => self.target.cycle::<1>(blanks, self.from, spray, self.saturation),
-                (blanks, Sign::Remove) => self.target.cycle::<-1>(blanks, self.from, spray, self.saturation),
-            }
-        }
-    }
-}
-
-#[derive(Clone, Copy)]
-enum Sign {
-    Add,
-    Remove,
-}
-
-/// Pixels whose blanks are added up at a time, on the stack.
-const BLOCK_PIXELS: usize = 256;
-
-struct Target<'a> {
-    sum: &'a mut [i64],
-    sum_squares: &'a mut [u64],
-    sum_blanks: &'a mut [u64],
-    count: &'a mut [u32],
-}
-
-impl Target<'_> {
-    /// One blank and one spray frame: the common case without scratch memory.
-    #[inline(always)]
-    fn pair<const SIGN: i64>(&mut self, blank: &[u16], spray: &[u16], saturation: u16) {
-        let n = self.sum.len();
-        let (blank, spray) = (&blank[..n], &spray[..n]);
-        let (sum_squares, sum_blanks) = (&mut self.sum_squares[..n], &mut self.sum_blanks[..n]);
-        let (sum, count) = (&mut self.sum[..n], &mut self.count[..n]);
-        for i in 0..n {
-            let valid = i32::from(blank[i].max(spray[i]) < saturation);
-            let y = (i32::from(spray[i]) - i32::from(blank[i])) * valid;
-            let size = y.unsigned_abs();
-            put::<SIGN>(&mut sum[i], &mut sum_squares[i], y, size);
-            let lit = u32::from(blank[i]) * valid.unsigned_abs();
-            put_counts::<SIGN>(&mut sum_blanks[i], &mut count[i], lit, valid.unsigned_abs());
-        }
-    }
-
-    /// Several blanks: `from` is the place of the first pixel in the blanks' frames.
-    #[inline(always)]
-    fn cycle<const SIGN: i64>(&mut self, blanks: &[&[u16]], from: usize, spray: &[u16], saturation: u16) {
-        let scale = i32::try_from(blanks.len()).expect("at most 256 blanks");
-        let (mut total, mut highest) = ([0_i32; BLOCK_PIXELS], [0_u16; BLOCK_PIXELS]);
-        for start in (0..spray.len()).step_by(BLOCK_PIXELS) {
-            let n = BLOCK_PIXELS.min(spray.len() - start);
-            let block = start..start + n;
-            let (total, highest) = (&mut total[..n], &mut highest[..n]);
-            total.fill(0);
-            highest.fill(0);
-            for blank in blanks {
-                let blank = &blank[from + start..from + start + n];
-                for i in 0..n {
-                    // At most 256 · 65 535: no check is needed, and one would stop the vectoriser.
-                    total[i] = total[i].wrapping_add(i32::from(blank[i]));
-                    highest[i] = highest[i].max(blank[i]);
-                }
-            }
-            let spray = &spray[block.clone()];
-            let (sum, count) = (&mut self.sum[block.clone()], &mut self.count[block.clone()]);
-            let (sum_squares, sum_blanks) =
-                (&mut self.sum_squares[block.clone()], &mut self.sum_blanks[block]);
-            for i in 0..n {
-                let valid = i32::from(highest[i].max(spray[i]) < saturation);
-                let y = scale.wrapping_mul(i32::from(spray[i])).wrapping_sub(total[i]).wrapping_mul(valid);
-                put::<SIGN>(&mut sum[i], &mut sum_squares[i], y, y.unsigned_abs());
-                let lit = total[i].wrapping_mul(valid).unsigned_abs();
-                put_counts::<SIGN>(&mut sum_blanks[i], &mut count[i], lit, valid.unsigned_abs());
-            }
-        }
-    }
-}
-
-// Wrapping operations, because checked ones in a debug build stop the vectoriser; `cycles_max` is the proof that
-// none wraps.
-#[inline(always)]
-fn put<const SIGN: i64>(sum: &mut i64, sum_squares: &mut u64, y: i32, size: u32) {
-    let square = u64::from(size).wrapping_mul(u64::from(size));
-    if SIGN > 0 {
-        *sum = sum.wrapping_add(i64::from(y));
-        *sum_squares = sum_squares.wrapping_add(square);
-    } else {
-        *sum = sum.wrapping_sub(i64::from(y));
-        *sum_squares = sum_squares.wrapping_sub(square);
-    }
-}
-
-#[inline(always)]
-fn put_counts<const SIGN: i64>(sum_blanks: &mut u64, count: &mut u32, lit: u32, valid: u32) {
-    if SIGN > 0 {
-        *sum_blanks = sum_blanks.wrapping_add(u64::from(lit));
-        *count = count.wrapping_add(valid);
-    } else {
-        *sum_blanks = sum_blanks.wrapping_sub(u64::from(lit));
-        *count = count.wrapping_sub(valid);
-    }
 }
 
 /// Mean, in counts, of `count` cycles of `blanks` blanks each. NaN for no cycle.
@@ -503,16 +373,21 @@ pub fn variance(sum: i64, sum_squares: u64, count: u32, blanks: u16) -> f64 {
 mod tests {
     use super::*;
 
-    fn frame(seed: u64, pixels: usize) -> Vec<u16> {
+    /// Noise over all counts of a camera of so many bits.
+    fn noise(seed: u64, pixels: usize, bits: u32) -> Vec<u16> {
         let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
         (0..pixels)
             .map(|_| {
                 state ^= state << 13;
                 state ^= state >> 7;
                 state ^= state << 17;
-                u16::try_from(state >> 50).unwrap()
+                u16::try_from(state >> (64 - bits)).unwrap()
             })
             .collect()
+    }
+
+    fn frame(seed: u64, pixels: usize) -> Vec<u16> {
+        noise(seed, pixels, 14)
     }
 
     fn slow(cycles: &[(Vec<Vec<u16>>, Vec<u16>)], pixel: usize, saturation: u16) -> (i64, u64, u64, u32) {
@@ -566,9 +441,9 @@ mod tests {
             for pixel in [0, 5, 8191, 8192, rows * columns - 1] {
                 let level = &forward.levels()[0];
                 let got =
-                    (level.sum[pixel], level.sum_squares[pixel], level.sum_blanks[pixel], level.count[pixel]);
+                    (level.sum(pixel), level.sum_squares(pixel), level.sum_blanks(pixel), level.count(pixel));
                 assert_eq!(got, slow(&cycles, pixel, saturation));
-                assert_eq!(level.saturated(pixel), 6 - level.count[pixel]);
+                assert_eq!(level.saturated(pixel), 6 - level.count(pixel));
             }
             let dark: Vec<&[u16]> = cycles[0].0.iter().map(Vec::as_slice).collect();
             forward.remove_cycle(0, &dark, &cycles[0].1).unwrap();
@@ -576,6 +451,77 @@ mod tests {
             cycles[1..].iter().for_each(|c| add(&mut without, c));
             assert!(forward == without);
         }
+    }
+
+    /// Any number of cycles at a time, of 14 bits up to the highest count or of 16: the sums of a plain loop.
+    #[test]
+    fn groups_of_cycles_are_exact() {
+        let pixels = 2600;
+        for (bits, saturation) in [(14, 16_384), (14, 16_383), (14, 1), (16, 65_535), (16, 16_385)] {
+            let all: Vec<_> = (0..9_u64)
+                .map(|c| {
+                    let (mut blank, mut spray) =
+                        (noise(2 * c + 1, pixels, bits), noise(2 * c + 2, pixels, bits));
+                    // The largest differences of both signs.
+                    (blank[7], spray[7], blank[8], spray[8]) = (0, saturation - 1, saturation - 1, 0);
+                    (vec![blank], spray)
+                })
+                .collect();
+            for n in 1..=all.len() {
+                let dark: Vec<Vec<&[u16]>> =
+                    all[..n].iter().map(|(dark, _)| dark.iter().map(Vec::as_slice).collect()).collect();
+                let cycles: Vec<Cycle<'_>> =
+                    dark.iter().zip(&all).map(|(blanks, (_, spray))| Cycle { blanks, spray }).collect();
+                let mut sums = Sums::new(1, 1, pixels, 1, saturation).unwrap();
+                // Memory that was used before holds nothing after.
+                sums.add_cycles(0, &cycles[n / 2..]).unwrap();
+                sums.clear();
+                assert_eq!((sums.levels()[0].sum(7), sums.levels()[0].count(7)), (0, 0));
+                sums.add_cycles(0, &cycles).unwrap();
+                let level = &sums.levels()[0];
+                for pixel in (0..pixels).step_by(13).chain([7, 8, pixels - 1]) {
+                    let got = (
+                        level.sum(pixel),
+                        level.sum_squares(pixel),
+                        level.sum_blanks(pixel),
+                        level.count(pixel),
+                    );
+                    assert_eq!(got, slow(&all[..n], pixel, saturation), "{bits} {saturation} {n} {pixel}");
+                }
+            }
+        }
+    }
+
+    /// Sums that outgrow narrow numbers are those of wide ones: added, merged and taken out.
+    #[test]
+    fn sums_widen_without_a_trace() {
+        let (high, low) = ([65_534_u16; 3], [0_u16; 3]);
+        let blanks = vec![high.as_slice(); usize::from(BLANKS_MAX)];
+        let last = planes::narrow_max(BLANKS_MAX);
+        let sums = |cycles: u32| {
+            let mut sums = Sums::new(1, 1, 3, BLANKS_MAX, u16::MAX).unwrap();
+            (0..cycles).for_each(|_| sums.add_cycle(0, &blanks, &low).unwrap());
+            sums
+        };
+        let (narrow, mut wide) = (sums(last), sums(last + 1));
+        assert!(matches!(narrow.levels[0].cells, Cells::Narrow(_)));
+        assert!(matches!(wide.levels[0].cells, Cells::Wide(_)));
+        for (sums, cycles) in [(&narrow, last), (&wide, last + 1)] {
+            let level = &sums.levels()[0];
+            assert_eq!(level.sum(1), -i64::from(cycles) * 256 * 65_534);
+            assert_eq!(level.sum_blanks(2), u64::from(cycles) * 256 * 65_534);
+        }
+        let mut merged = sums(1);
+        merged.merge(&narrow).unwrap();
+        assert!(merged == wide);
+        wide.remove_cycle(0, &blanks, &low).unwrap();
+        assert!(wide == narrow && narrow == wide);
+        wide.merge(&narrow).unwrap();
+        assert!(wide == sums(2 * last));
+        wide.remove_sample(0, 1, &blanks, &low);
+        assert_eq!(wide.levels()[0].count(1), 2 * last - 1);
+        assert_eq!(wide.levels()[0].sum(1), -i64::from(2 * last - 1) * 256 * 65_534);
+        assert!(wide != sums(2 * last));
     }
 
     #[test]
@@ -588,11 +534,11 @@ mod tests {
             sums.add_cycle(0, &blanks, &high).unwrap();
         }
         let level = &sums.levels()[0];
-        assert_eq!(level.sum[0], 1000 * 256 * 65_534);
-        assert_eq!(level.sum[1], -1000 * 256 * 65_534);
-        assert!(mean(level.sum[1], 1000, BLANKS_MAX).to_bits() == (-65_534.0_f64).to_bits());
+        assert_eq!(level.sum(0), 1000 * 256 * 65_534);
+        assert_eq!(level.sum(1), -1000 * 256 * 65_534);
+        assert!(mean(level.sum(1), 1000, BLANKS_MAX).to_bits() == (-65_534.0_f64).to_bits());
         assert!(
-            variance(level.sum[1], level.sum_squares[1], 1000, BLANKS_MAX).to_bits() == 0.0_f64.to_bits()
+            variance(level.sum(1), level.sum_squares(1), 1000, BLANKS_MAX).to_bits() == 0.0_f64.to_bits()
         );
         assert!(sums.cycles_max() >= 65_536);
     }
