@@ -15,7 +15,7 @@ pub(super) const RADIUS: usize = 2;
 
 /// Rows whose sums are read in one go: the machine fetches ahead within pages of memory, and a row of one sum is
 /// hardly longer than a page.
-const GULP: usize = 4;
+const GULP: usize = 2;
 
 /// Rows that are kept: a window's, and what is read ahead.
 pub(super) const KEPT: usize = 2 * RADIUS + GULP;
@@ -76,6 +76,8 @@ pub(super) struct Slot<F> {
     /// Every level has as many cycles in all pixels; and no pixel is dead.
     alike: bool,
     pub(super) lively: bool,
+    /// `alike` of the row that was here before.
+    before: bool,
 }
 
 impl<F> Slot<F> {
@@ -105,6 +107,7 @@ impl<'a, F: Number> Walk<'a, F> {
             singles: false,
             alike: false,
             lively: true,
+            before: false,
         };
         Self {
             sums,
@@ -163,7 +166,8 @@ impl<'a, F: Number> Walk<'a, F> {
     #[inline(always)]
     fn fill(&mut self, rows: Range<usize>) {
         for row in rows.clone() {
-            self.slots[row % KEPT].alike = !self.used.is_empty();
+            let slot = &mut self.slots[row % KEPT];
+            (slot.before, slot.alike) = (slot.alike, !self.used.is_empty());
         }
         for (k, &level) in self.used.iter().enumerate() {
             let level = &self.sums.levels()[level];
@@ -177,7 +181,7 @@ impl<'a, F: Number> Walk<'a, F> {
                     squares: &mut slot.squares[to.clone()],
                     blank: &mut slot.blank[to],
                 };
-                slot.alike &= statistics(level, range, self.sums.blanks_per_cycle(), out);
+                slot.alike &= statistics(level, range, self.sums.blanks_per_cycle(), slot.before, out);
             }
         }
         for row in rows {

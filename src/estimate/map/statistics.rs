@@ -27,9 +27,10 @@ pub(super) fn statistics<F: Number>(
     level: &LevelSums,
     range: Range<usize>,
     blanks: u16,
+    before: bool,
     out: Statistics<'_, F>,
 ) -> bool {
-    let settings = Settings { cycles: level.cycles(), blanks, range };
+    let settings = Settings { cycles: level.cycles(), blanks, range, before };
     match level.cells() {
         Some(Cells::Narrow(planes)) => settings.of(planes, out),
         Some(Cells::Wide(planes)) => settings.of(planes, out),
@@ -68,6 +69,8 @@ struct Settings {
     cycles: u32,
     blanks: u16,
     range: Range<usize>,
+    /// Whether `count` was last filled with like numbers.
+    before: bool,
 }
 
 impl Settings {
@@ -84,24 +87,21 @@ impl Settings {
         for i in 0..n {
             unlike |= u32::from(count[i] != count[0]);
         }
-        let (zero, b) = (F::of(0.0), f64::from(self.blanks));
+        let (zero, b, before) = (F::of(0.0), f64::from(self.blanks), self.before);
         let alike = unlike == 0 && first > 0;
         if alike {
             let cycles = f64::from(first);
             let shares = Shares::of(cycles, b);
-            counts.fill(F::of(cycles));
+            // Rows of a campaign are alike one after the other.
+            if !before || counts[0] != F::of(cycles) {
+                counts.fill(F::of(cycles));
+            }
+            // One loop over all sums: as many streams of memory at once.
+            let square = if first > 1 { shares.square } else { zero };
             for i in 0..n {
                 means[i] = F::of(float::<W>(sum[i])) * shares.sample;
-            }
-            for i in 0..n {
                 blank[i] = F::of(light::<W>(lit[i])) * shares.sample;
-            }
-            if first > 1 {
-                for i in 0..n {
-                    spreads[i] = spread::<W, F>(cycles, sum[i], squares[i]) * shares.square;
-                }
-            } else {
-                spreads.fill(zero);
+                spreads[i] = spread::<W, F>(cycles, sum[i], squares[i]) * square;
             }
         } else {
             for i in 0..n {
