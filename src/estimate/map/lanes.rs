@@ -5,8 +5,8 @@
 use pulp::Simd;
 use std::ops::{Add, Div, Mul, Sub};
 
-/// Numbers of two of the widest vectors (f32, AVX-512): rows in memory are padded to a multiple of it.
-pub(super) const WIDEST: usize = 32;
+/// Numbers of the widest vector (f32, AVX-512): rows in memory are padded to a multiple of it.
+pub(super) const WIDEST: usize = 16;
 
 /// A vector of numbers.
 pub(super) trait Lanes:
@@ -168,68 +168,6 @@ lanes!(
     f32
 );
 
-/// Two vectors in step: the second's operations fill the time that the first's take to come out.
-#[derive(Clone, Copy)]
-pub(super) struct Twin<V>(V, V);
-
-/// One of the four operators of two vectors.
-macro_rules! twin_operator {
-    ($trait:ident, $method:ident) => {
-        impl<V: Lanes> $trait for Twin<V> {
-            type Output = Self;
-            #[inline(always)]
-            fn $method(self, other: Self) -> Self {
-                Self($trait::$method(self.0, other.0), $trait::$method(self.1, other.1))
-            }
-        }
-    };
-}
-
-twin_operator!(Add, add);
-twin_operator!(Sub, sub);
-twin_operator!(Mul, mul);
-twin_operator!(Div, div);
-
-impl<V: Lanes> Lanes for Twin<V> {
-    type Mask = (V::Mask, V::Mask);
-
-    #[inline(always)]
-    fn all(self, value: f64) -> Self {
-        let all = self.0.all(value);
-        Self(all, all)
-    }
-
-    #[inline(always)]
-    fn below(self, other: Self) -> Self::Mask {
-        (self.0.below(other.0), self.1.below(other.1))
-    }
-
-    #[inline(always)]
-    fn at_most(self, other: Self) -> Self::Mask {
-        (self.0.at_most(other.0), self.1.at_most(other.1))
-    }
-
-    #[inline(always)]
-    fn both(self, a: Self::Mask, b: Self::Mask) -> Self::Mask {
-        (self.0.both(a.0, b.0), self.1.both(a.1, b.1))
-    }
-
-    #[inline(always)]
-    fn either(self, a: Self::Mask, b: Self::Mask) -> Self::Mask {
-        (self.0.either(a.0, b.0), self.1.either(a.1, b.1))
-    }
-
-    #[inline(always)]
-    fn pick(mask: Self::Mask, yes: Self, no: Self) -> Self {
-        Self(V::pick(mask.0, yes.0, no.0), V::pick(mask.1, yes.1, no.1))
-    }
-
-    #[inline(always)]
-    fn root(self) -> Self {
-        Self(self.0.root(), self.1.root())
-    }
-}
-
 /// A kind of number: f64 for what is kept, f32 for what is looked at.
 pub trait Number:
     Copy
@@ -363,41 +301,36 @@ pub(super) trait Machine<S: Simd>: Number {
 }
 
 impl<S: Simd> Machine<S> for f64 {
-    type Lanes = Twin<Doubles<S>>;
-    const WIDTH: usize = 2 * S::F64_LANES;
+    type Lanes = Doubles<S>;
+    const WIDTH: usize = S::F64_LANES;
 
     #[inline(always)]
     fn read(simd: S, numbers: &[Self], vector: usize) -> Self::Lanes {
-        let two = &S::as_simd_f64s(numbers).0[2 * vector..][..2];
-        // Both with themselves: the numbers come as vectors then, else they would be copied by way of the stack.
-        let through = |vector| Doubles(simd, simd.and_f64s(vector, vector));
-        Twin(through(two[0]), through(two[1]))
+        // With themselves: the numbers come as a vector then, else they would be copied by way of the stack.
+        let vector = S::as_simd_f64s(numbers).0[vector];
+        Doubles(simd, simd.and_f64s(vector, vector))
     }
 
     #[inline(always)]
     fn write(numbers: &mut [Self], value: Self::Lanes) {
-        let ([first, second], _) = S::as_mut_simd_f64s(numbers) else { panic!("room for two vectors") };
-        *first = value.0.1;
-        *second = value.1.1;
+        let ([first], _) = S::as_mut_simd_f64s(numbers) else { panic!("room for a vector") };
+        *first = value.1;
     }
 }
 
 impl<S: Simd> Machine<S> for f32 {
-    type Lanes = Twin<Singles<S>>;
-    const WIDTH: usize = 2 * S::F32_LANES;
+    type Lanes = Singles<S>;
+    const WIDTH: usize = S::F32_LANES;
 
     #[inline(always)]
     fn read(simd: S, numbers: &[Self], vector: usize) -> Self::Lanes {
-        let two = &S::as_simd_f32s(numbers).0[2 * vector..][..2];
-        // Both with themselves: the numbers come as vectors then, else they would be copied by way of the stack.
-        let through = |vector| Singles(simd, simd.and_f32s(vector, vector));
-        Twin(through(two[0]), through(two[1]))
+        let vector = S::as_simd_f32s(numbers).0[vector];
+        Singles(simd, simd.and_f32s(vector, vector))
     }
 
     #[inline(always)]
     fn write(numbers: &mut [Self], value: Self::Lanes) {
-        let ([first, second], _) = S::as_mut_simd_f32s(numbers) else { panic!("room for two vectors") };
-        *first = value.0.1;
-        *second = value.1.1;
+        let ([first], _) = S::as_mut_simd_f32s(numbers) else { panic!("room for a vector") };
+        *first = value.1;
     }
 }

@@ -7,8 +7,9 @@
 //! operations, logarithms of our own.
 //!
 //! Knows nothing of files, frames or instruments. In reading order: what goes in (`inputs`) and what the flags mean
-//! (`flag`); the walk over the image (`solver`), its rows (`rows`), the mathematics (`kernel`) in vectors (`lanes`),
-//! the pixels that go alone (`single`, `residuals`), temperatures (`thermometer`); single lines (`known`).
+//! (`flag`); the walk over the image (`solver`), its rows (`rows`, `statistics`, `pool`), the mathematics (`kernel`:
+//! `lines`, `weights`, `verdict`) in vectors (`lanes`), the pixels that go alone (`single`, `residuals`), temperatures
+//! (`thermometer`); questions about single pixels (`queries`); single lines (`known`).
 
 pub mod flag;
 mod inputs;
@@ -17,6 +18,7 @@ mod known;
 mod lanes;
 mod lines;
 mod pool;
+mod queries;
 mod residuals;
 mod rows;
 mod single;
@@ -31,8 +33,9 @@ use super::budget::Budget;
 pub use inputs::{CameraNoise, Estimator, FitInputs};
 pub use known::{CONFIDENCE, KnownLine, T_KNOWN, known_line};
 pub use lanes::Number;
+pub use queries::{crossing_shares, detail, lines_with_same_weights, prospects};
 pub use single::{Detail, Prospect};
-pub use solver::{Solved, crossing_shares, detail, lines_with_same_weights, prospects};
+pub use solver::Solved;
 
 /// Most levels of a map.
 pub const LEVELS_MAX: usize = 256;

@@ -1,37 +1,36 @@
-//! Fits an image: bands of rows on all threads, vectors of pixels within a row.
+//! Fits an image: bands of rows on all threads, vectors of pixels within a row. Single pixels: `queries`.
 
 use super::kernel::{self, ALONE, Constants, GAIN, Group, Scratch};
 use super::lanes::{Lanes, Machine, Number, WIDEST};
 use super::residuals::Residuals;
 use super::rows::{Row, Walk};
-use super::single::{Detail, Pixel, Prospect};
+use super::single::Pixel;
 use super::thermometer::Thermometer;
 use super::{CHANNELS, DitMap, Estimator, FitInputs, LEVELS_MAX, flag};
 use crate::estimate::accumulate::Sums;
-use crate::estimate::line::{self, Line};
 use crate::estimate::student::Quantiles;
 use pulp::Simd;
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Bands per thread: enough that one slow thread does not hold up the rest; each costs four rows of statistics more.
-const BANDS_PER_THREAD: usize = 2;
+pub(super) const BANDS_PER_THREAD: usize = 2;
 
 /// Pixels that take part in the estimate of the highest gain.
 const GAINS_MAX: usize = 16_384;
 
 /// What is the same for all pixels of a fit.
-struct Common<'a> {
+pub(super) struct Common<'a> {
     sums: &'a Sums,
     inputs: &'a FitInputs<'a>,
     /// Levels that have an x.
-    used: Vec<usize>,
-    constants: Constants,
-    residuals: Residuals,
+    pub(super) used: Vec<usize>,
+    pub(super) constants: Constants,
+    pub(super) residuals: Residuals,
 }
 
 impl<'a> Common<'a> {
-    fn new(sums: &'a Sums, inputs: &'a FitInputs<'a>) -> Self {
+    pub(super) fn new(sums: &'a Sums, inputs: &'a FitInputs<'a>) -> Self {
         let pixels = sums.rows() * sums.columns();
         let levels = sums.levels().len();
         assert!(inputs.x_counts.len() == levels, "one x per level");
@@ -50,7 +49,7 @@ impl<'a> Common<'a> {
     }
 
     /// Whether variances are pooled.
-    fn pools(&self) -> bool {
+    pub(super) fn pools(&self) -> bool {
         self.inputs.estimator == Estimator::Default
     }
 }
@@ -309,131 +308,11 @@ fn mask_off_plate<F: Number>(map: &mut DitMap<F>, estimator: Estimator) {
     }
 }
 
-/// How the pixel at `row` and `column` is fitted; None where it has no line.
-///
-/// Panics when there is no such pixel, which is the caller's mistake.
-pub fn detail(sums: &Sums, inputs: &FitInputs<'_>, row: usize, column: usize) -> Option<Detail> {
-    assert!(row < sums.rows() && column < sums.columns(), "a pixel of the sums");
-    let common = Common::new(sums, inputs);
-    let mut pixel = Pixel::default();
-    let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
-    walk.start(row..row + 1, common.pools());
-    let at = walk.row()?;
-    let residuals = common.residuals.at(row * sums.columns() + column);
-    pixel.gather(&at, column, inputs, &common.constants, residuals);
-    pixel.detail(inputs.estimator, &common.used)
-}
-
-/// What is known of the pixels whose emissivity is above `emissivity_min`, for forecasts: at most `pixels_max` of
-/// them, evenly taken, by our own estimator.
-pub fn prospects(
-    sums: &Sums,
-    inputs: &FitInputs<'_>,
-    emissivity_min: f64,
-    pixels_max: usize,
-) -> Vec<Prospect> {
-    let inputs = &FitInputs { estimator: Estimator::Default, ..inputs.clone() };
-    let common = Common::new(sums, inputs);
-    if sums.columns() == 0 || pixels_max == 0 {
-        return Vec::new();
-    }
-    let mut pixel = Pixel::default();
-    let mut found = Vec::new();
-    let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
-    walk.start(0..sums.rows(), true);
-    while let Some(row) = walk.row() {
-        for column in 0..row.columns {
-            // A first look by the unweighted line: most pixels see no spray.
-            let i = row.row * row.columns + column;
-            pixel.gather(&row, column, inputs, &common.constants, common.residuals.at(i));
-            if row.alive[column] > 0.0
-                && let Some(slope) = pixel.unweighted_slope()
-                && -slope > emissivity_min * inputs.gamma_near
-            {
-                found.push(pixel.prospect(inputs));
-            }
-        }
-    }
-    let step = found.len().div_ceil(pixels_max).max(1);
-    found.into_iter().step_by(step).flatten().collect()
-}
-
-/// Fits other values at other abscissae with the weights that [`super::solve`] gives the measured ones.
-///
-/// `x` and `y` belong to the levels of `sums` (all of them; a level without an x in `inputs` is left out), `y` is
-/// `[level][pixel]`. This is how a simulated world's expected counts are read: same weights, no noise. `None` for a
-/// pixel without a line.
-pub fn lines_with_same_weights(
-    sums: &Sums,
-    inputs: &FitInputs<'_>,
-    x: &[f64],
-    y: &[Vec<f64>],
-) -> Vec<Option<Line>> {
-    let levels = sums.levels().len();
-    assert!(x.len() == levels && y.len() == levels, "one x and one image per level");
-    by_pixel(sums, inputs, |used, pixel, i| {
-        pixel.weights(inputs.estimator).and_then(|weights| {
-            let x: Vec<f64> = pixel.levels.iter().map(|&k| x[used[k]]).collect();
-            let y: Vec<f64> = pixel.levels.iter().map(|&k| y[used[k]][i]).collect();
-            line::weighted(&x, &y, &weights)
-        })
-    })
-}
-
-/// How much of a level's error in x goes over into a pixel's crossing: dS/dx_k, `[pixel · levels + level]`, adding up to
-/// one. NaN for a pixel without a line, 0 for a level that is not there.
-pub fn crossing_shares(sums: &Sums, inputs: &FitInputs<'_>) -> Vec<f64> {
-    let levels = sums.levels().len();
-    let shares = by_pixel(sums, inputs, |used, pixel, _| {
-        let mut all = vec![f64::NAN; levels];
-        if let Some(shares) = pixel.crossing_shares(inputs.estimator) {
-            all.fill(0.0);
-            pixel.levels.iter().zip(shares).for_each(|(&k, share)| all[used[k]] = share);
-        }
-        all
-    });
-    shares.concat()
-}
-
-/// What `of` makes of every pixel, on all threads; it is told which levels have an x, the pixel's own and its place.
-fn by_pixel<T: Send>(
-    sums: &Sums,
-    inputs: &FitInputs<'_>,
-    of: impl Fn(&[usize], &mut Pixel, usize) -> T + Sync,
-) -> Vec<T> {
-    let common = Common::new(sums, inputs);
-    if sums.columns() == 0 {
-        return Vec::new();
-    }
-    let bands = rayon::current_num_threads() * BANDS_PER_THREAD;
-    let height = sums.rows().div_ceil(bands).max(1);
-    let starts: Vec<usize> = (0..sums.rows()).step_by(height).collect();
-    let bands: Vec<Vec<T>> = starts
-        .into_par_iter()
-        .map(|start| {
-            let rows = start..(start + height).min(sums.rows());
-            let mut pixel = Pixel::default();
-            let mut found = Vec::with_capacity(rows.len() * sums.columns());
-            let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
-            walk.start(rows, common.pools());
-            while let Some(row) = walk.row() {
-                for column in 0..row.columns {
-                    let i = row.row * row.columns + column;
-                    pixel.gather(&row, column, inputs, &common.constants, common.residuals.at(i));
-                    found.push(of(&common.used, &mut pixel, i));
-                }
-            }
-            found
-        })
-        .collect();
-    bands.into_iter().flatten().collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::estimate::calibration::SakumaHattori;
-    use crate::estimate::map::{CONFIDENCE, CameraNoise, solve};
+    use crate::estimate::map::{CONFIDENCE, CameraNoise, lines_with_same_weights, solve};
 
     const CURVE: SakumaHattori = SakumaHattori { a_counts: 7.2e5, a_um: 3.4, b_um_k: 1.5 };
     const PLATES_K: [f64; 5] = [373.0, 403.0, 433.0, 498.0, 533.0];
