@@ -95,7 +95,7 @@ pub fn budget(
 
 /// Whether enough is known for a map: two levels with accepted cycles.
 pub fn can_fit(sums: &Sums) -> bool {
-    sums.levels().iter().filter(|level| level.cycles > 0).count() >= 2
+    sums.levels().iter().filter(|level| level.cycles() > 0).count() >= 2
 }
 
 /// The records as the final map rests on them: our own estimator takes misfires and spikes out, the others nothing.

@@ -384,8 +384,8 @@ fn zero_difference(map: &DitMap, sums: &Sums) -> Option<f64> {
     let b = sums.blanks_per_cycle();
     let (mut sum, mut n) = (0.0, 0u32);
     for level in sums.levels() {
-        for &i in bare.iter().filter(|&&i| level.count[i] > 0) {
-            sum += accumulate::mean(level.sum[i], level.count[i], b);
+        for &i in bare.iter().filter(|&&i| level.count(i) > 0) {
+            sum += accumulate::mean(level.sum(i), level.count(i), b);
             n += 1;
         }
     }

@@ -287,9 +287,10 @@ impl Stack {
         }
         let mut map = map::solve(&sums, inputs);
         map.budget = Some(budget::statistical(&map));
+        let pixels = sums.rows() * sums.columns();
         for (level, sums) in levels.iter_mut().zip(sums.levels()) {
             level.accepted = level.cycles - level.rejected.len();
-            level.saturated_samples = (0..sums.count.len()).map(|i| u64::from(sums.saturated(i))).sum();
+            level.saturated_samples = (0..pixels).map(|i| u64::from(sums.saturated(i))).sum();
         }
         Ok((Fitted { map, levels }, sums))
     }

@@ -188,7 +188,7 @@ fn scores(sums: &Sums, truths: &[(f64, f64)], estimator: Estimator, confidence: 
     let score = score(&fit(sums, estimator, confidence), truths);
     eprintln!(
         "n {:2}, {:7}: T {:.3} K, emissivity {:.4}, without {:2}; {:.0} % sets hold T {:.1} %, emissivity {:.1} %",
-        sums.levels()[0].cycles,
+        sums.levels()[0].cycles(),
         estimator.name(),
         score.rmse_k,
         score.rmse_emissivity,

@@ -190,7 +190,7 @@ impl After {
             sums.levels()
                 .iter()
                 .zip(&self.plan.levels)
-                .all(|(sum, level)| sum.cycles == level.program.cycles)
+                .all(|(sum, level)| sum.cycles() == level.program.cycles)
         );
         self
     }

@@ -223,7 +223,7 @@ fn expectations(sums: &Sums, inputs: &FitInputs<'_>, judged: &[usize], centres: 
                 }
                 let sum = &sums.levels()[judged[k]];
                 #[expect(clippy::cast_precision_loss, reason = "a mean of counts")]
-                let blank = sum.sum_blanks[i] as f64 / (f64::from(sum.count[i]) * b);
+                let blank = sum.sum_blanks(i) as f64 / (f64::from(sum.count(i)) * b);
                 level.push(k);
                 at.push(x[k]);
                 y.push(f64::from(centre.median[i]));

@@ -177,11 +177,11 @@ pub fn view(
         .zip(facts)
         .enumerate()
         .map(|(k, ((level, &x), facts))| {
-            let n = level.count[i];
-            let difference = accumulate::mean(level.sum[i], n, b);
-            let deviation = accumulate::variance(level.sum[i], level.sum_squares[i], n, b).sqrt();
+            let n = level.count(i);
+            let difference = accumulate::mean(level.sum(i), n, b);
+            let deviation = accumulate::variance(level.sum(i), level.sum_squares(i), n, b).sqrt();
             #[expect(clippy::cast_precision_loss, reason = "a mean of counts")]
-            let blank = level.sum_blanks[i] as f64 / (f64::from(n) * f64::from(b));
+            let blank = level.sum_blanks(i) as f64 / (f64::from(n) * f64::from(b));
             let weight = detail.as_ref().and_then(|detail| {
                 detail.levels.iter().position(|&own| own == k).map(|at| detail.weights[at])
             });

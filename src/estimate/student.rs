@@ -57,24 +57,71 @@ impl Quantiles {
         1.0 / (z * b1 - b2 + self.coefficients[0])
     }
 
-    /// Chebyshev coefficients of 1/t over 2/ν − 1.
-    pub(super) fn coefficients(&self) -> &[f64; NODES] {
-        &self.coefficients
+    /// Coefficients of 1/t over powers of z = 2/ν − 1, as short as an error of 1e-6 of t allows: half as many operations
+    /// as the series, for vectors.
+    pub(super) fn powers(&self) -> Vec<f64> {
+        // 1/t is least at one of its ends, ν = 1; no polynomial of the series is above 1 between them.
+        let least: f64 = 1.0 / self.at(1.0);
+        let mut dropped = 0.0;
+        let mut kept = NODES;
+        while kept > 1 {
+            dropped += self.coefficients[kept - 1].abs();
+            if dropped > POWERS_ERROR * least {
+                break;
+            }
+            kept -= 1;
+        }
+        // Chebyshev's polynomials by their recurrence, T(n + 1) = 2 z T(n) − T(n − 1).
+        let (mut before, mut now) = (vec![0.0; kept], vec![0.0; kept]);
+        let mut powers = vec![0.0; kept];
+        now[0] = 1.0;
+        for (order, &c) in self.coefficients[..kept].iter().enumerate() {
+            powers.iter_mut().zip(&now).for_each(|(power, part)| *power += c * part);
+            let factor = if order == 0 { 1.0 } else { 2.0 };
+            let next = (0..kept)
+                .map(|i| if i == 0 { -before[0] } else { factor * now[i - 1] - before[i] })
+                .collect();
+            before = std::mem::replace(&mut now, next);
+        }
+        powers
     }
 }
 
-/// Two-sided quantile by bisection on the distribution function; `inverse` = 1/ν, 0 is the normal distribution.
+/// What [`Quantiles::powers`] may be off by, of t.
+const POWERS_ERROR: f64 = 1e-6;
+
+/// Steps of a search: the secant takes some ten, bisection alone would end within so many.
+const STEPS_MAX: usize = 80;
+
+/// Two-sided quantile by the secant in a bracket (Illinois' rule); `inverse` = 1/ν, 0 is the normal distribution.
 fn quantile(confidence: f64, inverse: f64) -> f64 {
+    let off = |t: f64| inside(t, inverse) - confidence;
     let (mut low, mut high) = (0.0, 1.0);
-    while inside(high, inverse) < confidence && high < 1e12 {
+    let (mut at_low, mut at_high) = (-confidence, off(high));
+    while at_high < 0.0 && high < 1e12 {
+        (low, at_low) = (high, at_high);
         high *= 2.0;
+        at_high = off(high);
     }
-    for _ in 0..80 {
+    let mut side = 0;
+    for step in 0..STEPS_MAX {
+        let secant = (low * at_high - high * at_low) / (at_high - at_low);
+        // Rounding of the distribution function can put the secant outside: then half is safe, as at times anyway.
         let middle = 0.5 * (low + high);
-        if inside(middle, inverse) < confidence {
-            low = middle;
+        let t = if step % 8 < 7 && low < secant && secant < high { secant } else { middle };
+        let at = off(t);
+        if at < 0.0 {
+            (low, at_low) = (t, at);
+            at_high *= if side < 0 { 0.5 } else { 1.0 };
+            side = -1;
         } else {
-            high = middle;
+            (high, at_high) = (t, at);
+            at_low *= if side > 0 { 0.5 } else { 1.0 };
+            side = 1;
+        }
+        // Nothing is nearer than what rounds to the confidence itself.
+        if at.abs() < 1e-16 || high - low <= 2.0 * f64::EPSILON * high {
+            return t;
         }
     }
     0.5 * (low + high)
@@ -150,6 +197,22 @@ mod tests {
         let exact_2 = 2.0 * 0.95 / (2.0 * (1.0 - 0.95_f64 * 0.95)).sqrt();
         assert!((t.at(2.0) / exact_2 - 1.0).abs() < 1e-10, "{} {exact_2}", t.at(2.0));
         assert!((t.at(0.2) - t.at(1.0)).abs() < 1e-12);
+    }
+
+    /// Short polynomials stay within their bound, and are short.
+    #[test]
+    fn powers_are_the_series() {
+        for (confidence, most) in [(0.6827, 9), (0.95, 11), (0.99, 14), (0.999_9, NODES)] {
+            let t = Quantiles::new(confidence);
+            let powers = t.powers();
+            assert!(powers.len() <= most, "{confidence}: {}", powers.len());
+            for i in 0..=1000 {
+                let freedom = 1000.0 / f64::from(i).max(1e-3);
+                let z = 2.0 / freedom - 1.0;
+                let inverse = powers.iter().rev().fold(0.0, |sum, c| sum * z + c);
+                assert!((1.0 / inverse / t.at(freedom) - 1.0).abs() < 1.01e-6, "{confidence} {freedom}");
+            }
+        }
     }
 
     #[test]

@@ -225,11 +225,11 @@ fn line_of_a_pixel(material: &Material<'_>) -> Vec<Block> {
         .iter()
         .zip(&inputs.x_counts)
         .filter_map(|(level, x)| {
-            let n = level.count[pixel];
-            let variance = accumulate::variance(level.sum[pixel], level.sum_squares[pixel], n, b);
+            let n = level.count(pixel);
+            let variance = accumulate::variance(level.sum(pixel), level.sum_squares(pixel), n, b);
             Some(Point {
                 x: (*x)?,
-                y: accumulate::mean(level.sum[pixel], n, b) / gain,
+                y: accumulate::mean(level.sum(pixel), n, b) / gain,
                 sigma: (variance / f64::from(n)).sqrt() / gain,
             })
         })

@@ -60,44 +60,31 @@ pub(super) trait Lanes:
     }
 }
 
+/// One of the four operators of a vector.
+macro_rules! operator {
+    ($vector:ident, $trait:ident, $method:ident, $by:ident) => {
+        impl<S: Simd> $trait for $vector<S> {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                Self(self.0, self.0.$by(self.1, other.1))
+            }
+        }
+    };
+}
+
 macro_rules! lanes {
     ($name:ident, $vector:ident, $mask:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $div:ident,
      $below:ident, $at_most:ident, $and:ident, $or:ident, $select:ident, $sqrt:ident, $as:ty) => {
-        /// A vector of this machine.
+        /// A vector of this machine, on a line of the cache.
         #[derive(Clone, Copy)]
+        #[repr(align(64))]
         pub(super) struct $name<S: Simd>(pub(super) S, pub(super) S::$vector);
 
-        impl<S: Simd> Add for $name<S> {
-            type Output = Self;
-            #[inline(always)]
-            fn add(self, other: Self) -> Self {
-                Self(self.0, self.0.$add(self.1, other.1))
-            }
-        }
-
-        impl<S: Simd> Sub for $name<S> {
-            type Output = Self;
-            #[inline(always)]
-            fn sub(self, other: Self) -> Self {
-                Self(self.0, self.0.$sub(self.1, other.1))
-            }
-        }
-
-        impl<S: Simd> Mul for $name<S> {
-            type Output = Self;
-            #[inline(always)]
-            fn mul(self, other: Self) -> Self {
-                Self(self.0, self.0.$mul(self.1, other.1))
-            }
-        }
-
-        impl<S: Simd> Div for $name<S> {
-            type Output = Self;
-            #[inline(always)]
-            fn div(self, other: Self) -> Self {
-                Self(self.0, self.0.$div(self.1, other.1))
-            }
-        }
+        operator!($name, Add, add, $add);
+        operator!($name, Sub, sub, $sub);
+        operator!($name, Mul, mul, $mul);
+        operator!($name, Div, div, $div);
 
         impl<S: Simd> Lanes for $name<S> {
             type Mask = MaskOf<S, S::$mask>;
@@ -197,26 +184,43 @@ pub trait Number:
 {
     /// Not a number.
     const NAN: Self;
-    /// ln 2 in two parts: any exponent times the first is exact.
-    const LN2_HIGH: f64;
-    /// The rest.
-    const LN2_LOW: f64;
+    /// Least number that is not subnormal.
+    const LEAST: Self;
+    /// Coefficients of (ln((1 + s)/(1 − s))/s − 2)/s² over powers of s², for |s| ≤ 0.2.
+    const LOGARITHM: &'static [f64];
     /// Rounded from f64.
     fn of(value: f64) -> Self;
     /// As f64, exactly.
     fn wide(self) -> f64;
-    /// k and m of self = 2ᵏ·m with m in √½ … √2, for normal numbers > 0.
-    fn split(self) -> (Self, Self);
+    /// k and 2ᵏ·`small`, where 2ᵏ is about self over `small`: 2ᵏ·`small` is between 2/3 and 3/2 of self. Both are
+    /// normal, and 0 < `small` ≤ self.
+    fn lift(self, small: Self) -> (Self, Self);
     /// Whether it is a number and not infinite.
     fn is_number(self) -> bool;
     /// Square root.
     fn square_root(self) -> Self;
+
+    /// Bits from a sum of bits below 2²⁴: exact.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "sums of bits below 2^24")]
+    #[inline(always)]
+    fn bits_of(self) -> u32 {
+        self.wide() as u32
+    }
 }
 
 impl Number for f64 {
     const NAN: Self = Self::NAN;
-    const LN2_HIGH: f64 = 6.931_471_803_691_238e-1;
-    const LN2_LOW: f64 = 1.908_214_929_270_587_7e-10;
+    const LEAST: Self = Self::MIN_POSITIVE;
+    // Error below 6e-17 of the logarithm: interpolation at seven Chebyshev nodes of s² in 0 … 0.0402.
+    const LOGARITHM: &'static [f64] = &[
+        0.666_666_666_666_669_4,
+        0.399_999_999_993_253_36,
+        0.285_714_288_394_464_1,
+        0.222_221_823_694_774_1,
+        0.181_846_320_054_238_31,
+        0.152_831_733_202_977_27,
+        0.151_232_952_086_141_01,
+    ];
 
     #[inline(always)]
     fn of(value: f64) -> Self {
@@ -228,13 +232,14 @@ impl Number for f64 {
         self
     }
 
-    // The exponent becomes a number as the low bits of 2⁵² + e: no conversion instruction is needed.
+    // Bits as an integer are nearly the logarithm, at most 0.0861 below it: that of the quotient is off by as much. The
+    // exponent becomes a number as the low bits of 2⁵² + k: no conversion instruction is needed.
     #[inline(always)]
-    fn split(self) -> (Self, Self) {
-        const HALF_ROOT: u64 = 0x3FE6_A09E_667F_3BCD;
-        let bits = self.to_bits().wrapping_add(0x3FF0_0000_0000_0000 - HALF_ROOT);
-        let exponent = Self::from_bits((bits >> 52) | 0x4330_0000_0000_0000) - 4_503_599_627_371_519.0;
-        (exponent, Self::from_bits((bits & 0x000F_FFFF_FFFF_FFFF).wrapping_add(HALF_ROOT)))
+    fn lift(self, small: Self) -> (Self, Self) {
+        let bits = small.to_bits();
+        let k = self.to_bits().wrapping_sub(bits).wrapping_add(1 << 51) >> 52;
+        let exponent = Self::from_bits(k | 0x4330_0000_0000_0000) - 4_503_599_627_370_496.0;
+        (exponent, Self::from_bits(bits.wrapping_add(k << 52)))
     }
 
     #[inline(always)]
@@ -250,9 +255,10 @@ impl Number for f64 {
 
 impl Number for f32 {
     const NAN: Self = Self::NAN;
-    // 355/512 and the rest.
-    const LN2_HIGH: f64 = 0.693_359_375;
-    const LN2_LOW: f64 = -2.121_944_400_546_905_8e-4;
+    const LEAST: Self = Self::MIN_POSITIVE;
+    // Error below 1e-8 of the logarithm: three nodes.
+    const LOGARITHM: &'static [f64] =
+        &[0.666_667_140_952_049_8, 0.399_788_022_128_124_75, 0.299_627_898_341_315_7];
 
     #[expect(clippy::cast_possible_truncation, reason = "rounding is what is meant")]
     #[inline(always)]
@@ -266,11 +272,11 @@ impl Number for f32 {
     }
 
     #[inline(always)]
-    fn split(self) -> (Self, Self) {
-        const HALF_ROOT: u32 = 0x3F35_04F3;
-        let bits = self.to_bits().wrapping_add(0x3F80_0000 - HALF_ROOT);
-        let exponent = Self::from_bits((bits >> 23) | 0x4B00_0000) - 8_388_735.0;
-        (exponent, Self::from_bits((bits & 0x007F_FFFF).wrapping_add(HALF_ROOT)))
+    fn lift(self, small: Self) -> (Self, Self) {
+        let bits = small.to_bits();
+        let k = self.to_bits().wrapping_sub(bits).wrapping_add(1 << 22) >> 23;
+        let exponent = Self::from_bits(k | 0x4B00_0000) - 8_388_608.0;
+        (exponent, Self::from_bits(bits.wrapping_add(k << 23)))
     }
 
     #[inline(always)]
@@ -290,7 +296,8 @@ pub(super) trait Machine<S: Simd>: Number {
     /// How many numbers a vector has.
     const WIDTH: usize;
     fn read(simd: S, numbers: &[Self], vector: usize) -> Self::Lanes;
-    fn write(numbers: &mut [Self], vector: usize, value: Self::Lanes);
+    /// Fills `numbers`, as many as there are in `value`.
+    fn write(numbers: &mut [Self], value: Self::Lanes);
 }
 
 impl<S: Simd> Machine<S> for f64 {
@@ -299,12 +306,15 @@ impl<S: Simd> Machine<S> for f64 {
 
     #[inline(always)]
     fn read(simd: S, numbers: &[Self], vector: usize) -> Self::Lanes {
-        Doubles(simd, S::as_simd_f64s(numbers).0[vector])
+        // With themselves: the numbers come as a vector then, else they would be copied by way of the stack.
+        let vector = S::as_simd_f64s(numbers).0[vector];
+        Doubles(simd, simd.and_f64s(vector, vector))
     }
 
     #[inline(always)]
-    fn write(numbers: &mut [Self], vector: usize, value: Self::Lanes) {
-        S::as_mut_simd_f64s(numbers).0[vector] = value.1;
+    fn write(numbers: &mut [Self], value: Self::Lanes) {
+        let ([first], _) = S::as_mut_simd_f64s(numbers) else { panic!("room for a vector") };
+        *first = value.1;
     }
 }
 
@@ -314,11 +324,13 @@ impl<S: Simd> Machine<S> for f32 {
 
     #[inline(always)]
     fn read(simd: S, numbers: &[Self], vector: usize) -> Self::Lanes {
-        Singles(simd, S::as_simd_f32s(numbers).0[vector])
+        let vector = S::as_simd_f32s(numbers).0[vector];
+        Singles(simd, simd.and_f32s(vector, vector))
     }
 
     #[inline(always)]
-    fn write(numbers: &mut [Self], vector: usize, value: Self::Lanes) {
-        S::as_mut_simd_f32s(numbers).0[vector] = value.1;
+    fn write(numbers: &mut [Self], value: Self::Lanes) {
+        let ([first], _) = S::as_mut_simd_f32s(numbers) else { panic!("room for a vector") };
+        *first = value.1;
     }
 }

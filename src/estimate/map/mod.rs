@@ -7,27 +7,35 @@
 //! operations, logarithms of our own.
 //!
 //! Knows nothing of files, frames or instruments. In reading order: what goes in (`inputs`) and what the flags mean
-//! (`flag`); the walk over the image (`solver`), its rows (`rows`), the mathematics (`kernel`) in vectors (`lanes`),
-//! the pixels that go alone (`single`, `residuals`), temperatures (`thermometer`); single lines (`known`).
+//! (`flag`); the walk over the image (`solver`), its rows (`rows`, `statistics`, `pool`), the mathematics (`kernel`:
+//! `lines`, `weights`, `verdict`) in vectors (`lanes`), the pixels that go alone (`single`, `residuals`), temperatures
+//! (`thermometer`); questions about single pixels (`queries`); single lines (`known`).
 
 pub mod flag;
 mod inputs;
 mod kernel;
 mod known;
 mod lanes;
+mod lines;
+mod pool;
+mod queries;
 mod residuals;
 mod rows;
 mod single;
 mod solver;
+mod statistics;
 mod thermometer;
+mod verdict;
+mod weights;
 
 use super::accumulate::Sums;
 use super::budget::Budget;
 pub use inputs::{CameraNoise, Estimator, FitInputs};
 pub use known::{CONFIDENCE, KnownLine, T_KNOWN, known_line};
 pub use lanes::Number;
+pub use queries::{crossing_shares, detail, lines_with_same_weights, prospects};
 pub use single::{Detail, Prospect};
-pub use solver::{Solved, crossing_shares, detail, lines_with_same_weights, prospects};
+pub use solver::Solved;
 
 /// Most levels of a map.
 pub const LEVELS_MAX: usize = 256;
@@ -202,9 +210,9 @@ impl<F: Number> DitMap<F> {
     fn keep_counts(&mut self, sums: &Sums) {
         let pixels = sums.rows() * sums.columns();
         for level in sums.levels() {
-            self.count.extend_from_slice(&level.count);
+            self.count.extend((0..pixels).map(|pixel| level.count(pixel)));
         }
-        if sums.levels().iter().any(|level| !level.outliers.is_empty()) {
+        if sums.levels().iter().any(|level| level.has_outliers()) {
             for level in sums.levels() {
                 self.rejected.extend((0..pixels).map(|pixel| level.outliers(pixel)));
             }

@@ -15,8 +15,11 @@ pub(super) struct Residuals(Vec<Vec<f64>>);
 impl Residuals {
     /// None when levels were repeated, or are too few to scatter about a line.
     pub(super) fn of(sums: &Sums, inputs: &FitInputs<'_>, used: &[usize], x: &[f64]) -> Self {
-        let repeated =
-            used.iter().filter(|&&level| sums.levels()[level].count.iter().any(|&n| n >= 2)).count();
+        let pixels = sums.rows() * sums.columns();
+        let repeated = used
+            .iter()
+            .filter(|&&level| (0..pixels).any(|pixel| sums.levels()[level].count(pixel) >= 2))
+            .count();
         if repeated >= 2 || used.len() < 3 || sums.columns() == 0 {
             return Self(Vec::new());
         }

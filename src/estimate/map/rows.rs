@@ -4,19 +4,21 @@
 //! depend on where the walk began, so any cut of the image among threads gives the same map.
 
 use super::lanes::{Number, WIDEST};
+use super::pool::Pool;
+use super::statistics::{Statistics, saturated, statistics};
 use super::{FitInputs, flag};
-use crate::estimate::accumulate::{self, LevelSums, Sums};
+use crate::estimate::accumulate::{LevelSums, Sums};
 use std::ops::Range;
 
 /// Rows and columns on each side of a pixel that lend it their variances: windows of 5 × 5.
-const RADIUS: usize = 2;
+pub(super) const RADIUS: usize = 2;
 
 /// Rows whose sums are read in one go: the machine fetches ahead within pages of memory, and a row of one sum is
 /// hardly longer than a page.
-const GULP: usize = 4;
+const GULP: usize = 2;
 
 /// Rows that are kept: a window's, and what is read ahead.
-const KEPT: usize = 2 * RADIUS + GULP;
+pub(super) const KEPT: usize = 2 * RADIUS + GULP;
 
 /// Statistics of a row, each `[level][stride]`, levels with an x only.
 pub(super) struct Row<'a, F> {
@@ -29,8 +31,8 @@ pub(super) struct Row<'a, F> {
     pub(super) count: &'a [F],
     /// Mean of spray − blank; 0 without a cycle.
     pub(super) mean: &'a [F],
-    /// Sample variance; 0 below two cycles.
-    pub(super) own: &'a [F],
+    /// n − 1 times the sample variance; 0 below two cycles.
+    pub(super) squares: &'a [F],
     /// Mean of the blanks; 0 without a cycle.
     pub(super) blank: &'a [F],
     /// Variance pooled over neighbours; NaN where there is none.
@@ -41,6 +43,8 @@ pub(super) struct Row<'a, F> {
     pub(super) alive: &'a [F],
     /// Whether any of its pixels has a level of one cycle.
     pub(super) singles: bool,
+    /// Whether every level has as many cycles in all of its pixels, and at least one.
+    pub(super) alike: bool,
 }
 
 /// Rows kept of one band of an image.
@@ -51,8 +55,7 @@ pub(super) struct Walk<'a, F> {
     columns: usize,
     stride: usize,
     slots: Vec<Slot<F>>,
-    pooled: Vec<F>,
-    vertical: [Vec<F>; 2],
+    pool: Pool<F>,
     /// Rows still to be visited, the next to be filled, and how far it has to be ahead.
     rows: Range<usize>,
     filled: usize,
@@ -60,16 +63,28 @@ pub(super) struct Walk<'a, F> {
 }
 
 #[derive(Clone)]
-struct Slot<F> {
-    count: Vec<F>,
-    mean: Vec<F>,
-    own: Vec<F>,
-    blank: Vec<F>,
-    flat: Vec<F>,
-    flags: Vec<F>,
-    alive: Vec<F>,
+pub(super) struct Slot<F> {
+    pub(super) count: Vec<F>,
+    pub(super) mean: Vec<F>,
+    pub(super) squares: Vec<F>,
+    pub(super) blank: Vec<F>,
+    pub(super) flat: Vec<F>,
+    pub(super) flags: Vec<F>,
+    pub(super) alive: Vec<F>,
     lost: Vec<u32>,
     singles: bool,
+    /// Every level has as many cycles in all pixels; and no pixel is dead.
+    alike: bool,
+    pub(super) lively: bool,
+    /// `alike` of the row that was here before.
+    before: bool,
+}
+
+impl<F> Slot<F> {
+    /// Whether the weights of its variances follow from the first pixel's.
+    pub(super) fn plain(&self) -> bool {
+        self.alike && self.lively
+    }
 }
 
 impl<'a, F: Number> Walk<'a, F> {
@@ -82,7 +97,7 @@ impl<'a, F: Number> Walk<'a, F> {
         let slot = Slot {
             count: all(),
             mean: all(),
-            own: all(),
+            squares: all(),
             blank: all(),
             // Beyond the last column stand pixels without a cycle.
             flat: vec![F::of(1.0); stride],
@@ -90,8 +105,10 @@ impl<'a, F: Number> Walk<'a, F> {
             alive: vec![zero; stride],
             lost: vec![0; columns],
             singles: false,
+            alike: false,
+            lively: true,
+            before: false,
         };
-        let padded = || vec![zero; stride + 2 * RADIUS];
         Self {
             sums,
             used,
@@ -99,8 +116,7 @@ impl<'a, F: Number> Walk<'a, F> {
             columns,
             stride,
             slots: vec![slot; KEPT],
-            pooled: all(),
-            vertical: [padded(), padded()],
+            pool: Pool::new(used.len(), stride),
             rows: 0..0,
             filled: 0,
             reach: 0,
@@ -125,7 +141,8 @@ impl<'a, F: Number> Walk<'a, F> {
             self.filled = to;
         }
         if self.reach > 0 {
-            self.pool(row);
+            let window = row.saturating_sub(RADIUS)..(row + RADIUS + 1).min(self.sums.rows());
+            self.pool.take(&self.slots, window);
         }
         let slot = &self.slots[row % KEPT];
         Some(Row {
@@ -134,19 +151,24 @@ impl<'a, F: Number> Walk<'a, F> {
             stride: self.stride,
             count: &slot.count,
             mean: &slot.mean,
-            own: &slot.own,
+            squares: &slot.squares,
             blank: &slot.blank,
-            pooled: &self.pooled,
+            pooled: &self.pool.pooled,
             flat: &slot.flat,
             flags: &slot.flags,
             alive: &slot.alive,
             singles: slot.singles,
+            alike: slot.alike,
         })
     }
 
     /// Statistics of some rows.
     #[inline(always)]
     fn fill(&mut self, rows: Range<usize>) {
+        for row in rows.clone() {
+            let slot = &mut self.slots[row % KEPT];
+            (slot.before, slot.alike) = (slot.alike, !self.used.is_empty());
+        }
         for (k, &level) in self.used.iter().enumerate() {
             let level = &self.sums.levels()[level];
             for row in rows.clone() {
@@ -156,10 +178,10 @@ impl<'a, F: Number> Walk<'a, F> {
                 let out = Statistics {
                     count: &mut slot.count[to.clone()],
                     mean: &mut slot.mean[to.clone()],
-                    own: &mut slot.own[to.clone()],
+                    squares: &mut slot.squares[to.clone()],
                     blank: &mut slot.blank[to],
                 };
-                statistics(level, range, self.sums.blanks_per_cycle(), out);
+                slot.alike &= statistics(level, range, self.sums.blanks_per_cycle(), slot.before, out);
             }
         }
         for row in rows {
@@ -175,38 +197,44 @@ impl<'a, F: Number> Walk<'a, F> {
         if let Some(flat) = self.flat_gain {
             slot.flat.iter_mut().zip(&flat[range.clone()]).for_each(|(to, &gain)| *to = F::of(gain));
             for k in 0..self.used.len() {
-                calibrate(slot, k * self.stride..k * self.stride + self.columns);
+                slot.alike &= calibrate(slot, k * self.stride..k * self.stride + self.columns);
             }
         }
         slot.lost.fill(0);
-        for level in self.sums.levels() {
-            if level.outliers.is_empty() {
-                for (lost, &count) in slot.lost.iter_mut().zip(&level.count[range.clone()]) {
-                    *lost |= u32::from(count < level.cycles) * flag::SATURATED;
-                }
-            } else {
+        for (k, level) in self.sums.levels().iter().enumerate() {
+            // The first pixel stands for all of a level where all are alike.
+            let nothing = slot.alike
+                && self.used.contains(&k)
+                && !level.has_outliers()
+                && level.count(range.start) == level.cycles();
+            if !nothing {
                 lost_samples(&mut slot.lost, level, range.clone());
             }
         }
-        let (one, lost) = (F::of(1.0), &slot.lost);
-        for (flags, &lost) in slot.flags.iter_mut().zip(lost) {
+        for (flags, &lost) in slot.flags.iter_mut().zip(&slot.lost) {
             *flags = F::of(f64::from(lost));
         }
-        slot.alive[..self.columns].fill(one);
+        slot.alive[..self.columns].fill(F::of(1.0));
+        slot.lively = true;
         if self.used.is_empty() {
             return;
         }
-        let two = F::of(2.0);
+        let (zero, two) = (F::of(0.0), F::of(2.0));
         let mut singles = 0_u32;
-        for &n in &slot.count[..self.used.len() * self.stride] {
-            singles += u32::from(F::of(0.0) < n && n < two);
+        if slot.alike {
+            for count in slot.count.chunks(self.stride) {
+                singles += u32::from(count[0] < two);
+            }
+        } else {
+            for &n in &slot.count {
+                singles += u32::from(zero < n && n < two);
+            }
         }
         slot.singles = singles > 0;
         // Hardly a pixel is still: a row without one is told by its first level alone.
-        let zero = F::of(0.0);
         let mut still = 0_u32;
-        for (&n, &own) in slot.count[..self.columns].iter().zip(&slot.own[..self.columns]) {
-            still += u32::from(n < two || own <= zero);
+        for (&n, &squares) in slot.count[..self.columns].iter().zip(&slot.squares[..self.columns]) {
+            still += u32::from(n < two || squares <= zero);
         }
         if still > 0 {
             self.find_constant(row);
@@ -215,149 +243,85 @@ impl<'a, F: Number> Walk<'a, F> {
 
     /// Marks pixels of a row that never change.
     fn find_constant(&mut self, row: usize) {
-        let slot = &mut self.slots[row % KEPT];
         for i in 0..self.columns {
-            let still = constancy(slot, self.used.len(), self.stride, i);
+            let slot = &self.slots[row % KEPT];
+            let first = slot.count[i];
+            if first >= F::of(2.0) && F::of(0.0) < slot.squares[i] {
+                continue;
+            }
+            let still = self.constancy(row, i);
+            let slot = &mut self.slots[row % KEPT];
             if still != 0 {
                 slot.flags[i] = F::of(f64::from(slot.lost[i] | still));
             }
             if still & flag::DEAD != 0 {
                 slot.alive[i] = F::of(0.0);
+                slot.lively = false;
             }
         }
     }
 
-    /// Variances of `row` pooled over neighbours: weighted by n − 1, dead pixels left out.
-    #[inline(always)]
-    fn pool(&mut self, row: usize) {
-        let (zero, one) = (F::of(0.0), F::of(1.0));
-        let first = row.saturating_sub(RADIUS);
-        let last = (row + RADIUS + 1).min(self.sums.rows());
-        let [weights, values] = &mut self.vertical;
-        for k in 0..self.used.len() {
-            let here = k * self.stride..(k + 1) * self.stride;
-            for from in first..last {
-                let slot = &self.slots[from % KEPT];
-                let inner = RADIUS..RADIUS + self.stride;
-                let each = weights[inner.clone()].iter_mut().zip(&mut values[inner]);
-                let of = slot.count[here.clone()].iter().zip(&slot.own[here.clone()]).zip(&slot.alive);
-                for ((weight, value), ((&n, &own), &alive)) in each.zip(of) {
-                    let w = if n < one { zero } else { (n - one) * alive };
-                    let (before_w, before_v) = if from == first { (zero, zero) } else { (*weight, *value) };
-                    *weight = before_w + w;
-                    *value = before_v + w * own;
-                }
-            }
-            let n = self.stride;
-            let pooled = &mut self.pooled[here];
-            let (w, v) = (&weights[..n + 2 * RADIUS], &values[..n + 2 * RADIUS]);
-            for i in 0..n {
-                let weight = w[i] + w[i + 1] + w[i + 2] + w[i + 3] + w[i + 4];
-                let value = v[i] + v[i + 1] + v[i + 2] + v[i + 3] + v[i + 4];
-                pooled[i] = value / weight;
-            }
+    /// Flags of a pixel that does not change: judged by the exact sums, since means of unlike counts are rounded.
+    fn constancy(&self, row: usize, column: usize) -> u32 {
+        let slot = &self.slots[row % KEPT];
+        let (zero, two) = (F::of(0.0), F::of(2.0));
+        let pixel = row * self.columns + column;
+        let at = |k: usize| k * self.stride + column;
+        let mut seen = (0..self.used.len()).filter(|&k| zero < slot.count[at(k)]);
+        let Some(first) = seen.next() else { return 0 };
+        // A level of one cycle has no variance and cannot contradict.
+        let still = |k: usize| slot.count[at(k)] < two || slot.squares[at(k)] <= zero;
+        if !still(first) {
+            return 0;
         }
+        let level = |k: usize| &self.sums.levels()[self.used[k]];
+        let one = level(first);
+        let n = i128::from(one.count(pixel));
+        let (mut dark, mut levels, mut repeated) = (true, 1, two <= slot.count[at(first)]);
+        for k in seen {
+            let other = level(k);
+            let m = i128::from(other.count(pixel));
+            if !(still(k) && i128::from(other.sum(pixel)) * n == i128::from(one.sum(pixel)) * m) {
+                return 0;
+            }
+            dark &= i128::from(other.sum_blanks(pixel)) * n == i128::from(one.sum_blanks(pixel)) * m;
+            repeated |= two <= slot.count[at(k)];
+            levels += 1;
+        }
+        let constant = if repeated && levels >= 2 { flag::CONSTANT } else { 0 };
+        let dead = if dark && levels >= 2 && (repeated || levels >= 3) { flag::DEAD } else { 0 };
+        constant | dead
     }
 }
 
-struct Statistics<'a, F> {
-    count: &'a mut [F],
-    mean: &'a mut [F],
-    own: &'a mut [F],
-    blank: &'a mut [F],
-}
-
-/// Below so many cycles times blanks n²·Y² < (n·b·2¹⁶)² stays below 2⁵³.
-const EXACT_SAMPLES: u64 = 1448;
-
-/// Means and variances of one level and row, not yet divided by the pixels' gains.
+/// Divides by the pixels' gains; a pixel without a gain has no cycle that counts, and false is returned.
 #[inline(always)]
-fn statistics<F: Number>(level: &LevelSums, range: Range<usize>, blanks: u16, out: Statistics<'_, F>) {
-    let (n, b) = (range.len(), f64::from(blanks));
-    let (sum, squares) = (&level.sum[range.clone()], &level.sum_squares[range.clone()]);
-    let (lit, count) = (&level.sum_blanks[range.clone()], &level.count[range]);
-    let (counts, means) = (&mut out.count[..n], &mut out.mean[..n]);
-    let (owns, blank) = (&mut out.own[..n], &mut out.blank[..n]);
-    // n·ΣY² and (ΣY)² ≤ n·ΣY² are exact in f64 below 2⁵³. |Y| is below 2¹⁶ for every blank, so that few cycles need no
-    // look at the sums.
-    let exact = u64::from(level.cycles) * u64::from(blanks) < EXACT_SAMPLES || {
-        let (mut most, mut largest) = (0_u32, 0_u64);
-        for i in 0..n {
-            most = most.max(count[i]);
-            largest |= squares[i];
-        }
-        u128::from(most) * (u128::from(largest) + 1) < 1 << 53
-    };
+fn calibrate<F: Number>(slot: &mut Slot<F>, to: Range<usize>) -> bool {
     let zero = F::of(0.0);
-    #[expect(
-        clippy::cast_precision_loss,
-        reason = "exact below 2^53, which the sums' limits ensure; Σ blanks may round once"
-    )]
-    for i in 0..n {
-        let cycles = f64::from(count[i]);
-        let (s, q) = (sum[i] as f64, squares[i] as f64);
-        let samples = F::of(cycles * b);
-        let here = count[i] > 0;
-        counts[i] = F::of(cycles);
-        let mean = F::of(s) / samples;
-        means[i] = if here { mean } else { zero };
-        let dark = F::of(lit[i] as f64) / samples;
-        blank[i] = if here { dark } else { zero };
-        let own = F::of(cycles * q - s * s) / F::of(cycles * (cycles - 1.0) * (b * b));
-        owns[i] = if count[i] > 1 { own } else { zero };
-    }
-    if !exact {
-        for i in (0..n).filter(|&i| count[i] > 1) {
-            owns[i] = F::of(accumulate::variance(sum[i], squares[i], count[i], blanks));
-        }
-    }
-}
-
-/// Divides by the pixels' gains; a pixel without a gain has no cycle that counts.
-#[inline(always)]
-fn calibrate<F: Number>(slot: &mut Slot<F>, to: Range<usize>) {
-    let zero = F::of(0.0);
+    let mut all = true;
     let each = slot.count[to.clone()].iter_mut().zip(&mut slot.mean[to.clone()]);
-    let more = slot.own[to.clone()].iter_mut().zip(&mut slot.blank[to]);
-    for (((count, mean), (own, blank)), &gain) in each.zip(more).zip(&slot.flat) {
+    let more = slot.squares[to.clone()].iter_mut().zip(&mut slot.blank[to]);
+    for (((count, mean), (squares, blank)), &gain) in each.zip(more).zip(&slot.flat) {
         let known = zero < gain && gain.is_number();
         let g = if known { gain } else { F::of(1.0) };
+        all &= known;
         *count = if known { *count } else { zero };
         *mean = *mean / g;
-        *own = *own / (g * g);
+        *squares = *squares / (g * g);
         *blank = *blank / g;
     }
+    all
 }
 
 /// A cycle that a pixel lacks was either saturated or taken out.
+#[inline(always)]
 fn lost_samples(lost: &mut [u32], level: &LevelSums, range: Range<usize>) {
+    if !level.has_outliers() {
+        saturated(lost, level, range);
+        return;
+    }
     for (lost, pixel) in lost.iter_mut().zip(range) {
         *lost |= u32::from(level.saturated(pixel) > 0) * flag::SATURATED;
         *lost |= u32::from(level.outliers(pixel) > 0) * flag::OUTLIERS;
     }
-}
-
-/// Flags of a pixel that does not change.
-fn constancy<F: Number>(slot: &Slot<F>, levels: usize, stride: usize, pixel: usize) -> u32 {
-    let (zero, two) = (F::of(0.0), F::of(2.0));
-    let mut seen = (0..levels).map(|k| k * stride + pixel).filter(|&at| zero < slot.count[at]);
-    let Some(first) = seen.next() else { return 0 };
-    // A level of one cycle has no variance and cannot contradict.
-    let still = |at: usize| slot.count[at] < two || slot.own[at] <= zero;
-    if !still(first) {
-        return 0;
-    }
-    let mut dark = true;
-    let (mut levels, mut repeated) = (1, two <= slot.count[first]);
-    for at in seen {
-        if !(still(at) && slot.mean[at] == slot.mean[first]) {
-            return 0;
-        }
-        dark &= slot.blank[at] == slot.blank[first];
-        repeated |= two <= slot.count[at];
-        levels += 1;
-    }
-    let constant = if repeated && levels >= 2 { flag::CONSTANT } else { 0 };
-    let dead = if dark && levels >= 2 && (repeated || levels >= 3) { flag::DEAD } else { 0 };
-    constant | dead
 }

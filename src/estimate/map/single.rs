@@ -1,8 +1,10 @@
 //! Pixels one by one: those whose variances cannot be pooled (one cycle a level), and the weights of any pixel.
 
-use super::kernel::{self, Answer, Constants, Fitted, Lined};
+use super::kernel::Constants;
 use super::lanes::{Doubles, Number};
+use super::lines::Lined;
 use super::rows::Row;
+use super::verdict::{Answer, Fitted, judge, quantile};
 use super::{Estimator, FitInputs, flag};
 use crate::estimate::law;
 use crate::estimate::line;
@@ -92,7 +94,7 @@ impl Pixel {
             self.x.push(x);
             self.y.push(mean);
             self.count.push(n);
-            self.own.push(if n < 2.0 { f64::NAN } else { row.own[at].wide() });
+            self.own.push(if n < 2.0 { f64::NAN } else { row.squares[at].wide() / (n - 1.0) });
             self.pooled.push(row.pooled[at].wide());
             let camera = inputs.camera.variance((blank + mean) * flat, blank * flat, constants.blanks);
             self.camera.push(camera / (flat * flat));
@@ -123,9 +125,9 @@ impl Pixel {
         self.scratch = scratch;
         let fit = fit?;
         let one = |value: f64| Doubles(Scalar::new(), value);
+        let powers: Vec<_> = constants.quantile.iter().map(|&power| one(power)).collect();
+        let t = |freedom: f64| quantile(one(0.0), constants, &powers, one(1.0 / freedom));
         let flags = if fit.camera_only { flag::NO_STATISTICS } else { 0 };
-        #[expect(clippy::cast_precision_loss, reason = "a number of levels")]
-        let points = self.x.len() as f64;
         let line = fit.line;
         let d = -line.mean_y / line.slope;
         let noise: f64 = self
@@ -145,17 +147,16 @@ impl Pixel {
                 chi2: one(line.chi2),
                 mean_x: one(line.mean_x),
                 mean_y: one(line.mean_y),
-                weight: one(line.weight),
-                spread: one(line.spread),
-                points: one(points),
+                per_weight: one(1.0 / line.weight),
+                per_spread: one(1.0 / line.spread),
             },
             covariance: [one(fit.covariance.slope), one(fit.covariance.mean), one(fit.covariance.cross)],
             slope_variance: one(fit.slope_variance),
             noise: one(noise),
-            inverse_freedoms: [one(1.0 / fit.freedom_crossing), one(1.0 / fit.freedom_slope)],
+            quantiles: [t(fit.freedom_crossing), t(fit.freedom_slope)],
             flags: one(f64::from(flags)),
         };
-        Some(kernel::judge(one(0.0), constants, true, &fitted))
+        Some(judge(one(0.0), constants, true, &fitted))
     }
 
     /// Slope of the unweighted line.

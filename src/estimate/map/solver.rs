@@ -1,37 +1,36 @@
-//! Fits an image: bands of rows on all threads, vectors of pixels within a row.
+//! Fits an image: bands of rows on all threads, vectors of pixels within a row. Single pixels: `queries`.
 
-use super::kernel::{self, ALONE, Constants, GAIN, Group, Level, Scratch};
+use super::kernel::{self, ALONE, Constants, GAIN, Group, Scratch};
 use super::lanes::{Lanes, Machine, Number, WIDEST};
 use super::residuals::Residuals;
 use super::rows::{Row, Walk};
-use super::single::{Detail, Pixel, Prospect};
+use super::single::Pixel;
 use super::thermometer::Thermometer;
 use super::{CHANNELS, DitMap, Estimator, FitInputs, LEVELS_MAX, flag};
 use crate::estimate::accumulate::Sums;
-use crate::estimate::line::{self, Line};
 use crate::estimate::student::Quantiles;
 use pulp::Simd;
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Bands per thread: enough that one slow thread does not hold up the rest; each costs four rows of statistics more.
-const BANDS_PER_THREAD: usize = 2;
+pub(super) const BANDS_PER_THREAD: usize = 2;
 
 /// Pixels that take part in the estimate of the highest gain.
 const GAINS_MAX: usize = 16_384;
 
 /// What is the same for all pixels of a fit.
-struct Common<'a> {
+pub(super) struct Common<'a> {
     sums: &'a Sums,
     inputs: &'a FitInputs<'a>,
     /// Levels that have an x.
-    used: Vec<usize>,
-    constants: Constants,
-    residuals: Residuals,
+    pub(super) used: Vec<usize>,
+    pub(super) constants: Constants,
+    pub(super) residuals: Residuals,
 }
 
 impl<'a> Common<'a> {
-    fn new(sums: &'a Sums, inputs: &'a FitInputs<'a>) -> Self {
+    pub(super) fn new(sums: &'a Sums, inputs: &'a FitInputs<'a>) -> Self {
         let pixels = sums.rows() * sums.columns();
         let levels = sums.levels().len();
         assert!(inputs.x_counts.len() == levels, "one x per level");
@@ -50,7 +49,7 @@ impl<'a> Common<'a> {
     }
 
     /// Whether variances are pooled.
-    fn pools(&self) -> bool {
+    pub(super) fn pools(&self) -> bool {
         self.inputs.estimator == Estimator::Default
     }
 }
@@ -58,7 +57,7 @@ impl<'a> Common<'a> {
 /// Rows of a map and where their answers go, channel by channel.
 struct Band<'a, F> {
     rows: Range<usize>,
-    planes: Vec<&'a mut [F]>,
+    planes: [&'a mut [F]; CHANNELS.len()],
     flags: &'a mut [u32],
 }
 
@@ -76,19 +75,14 @@ pub(super) fn solve_into<F: Solved>(sums: &Sums, inputs: &FitInputs<'_>, map: &m
     };
     let height = rows.div_ceil(bands);
     let (planes, flags) = map.planes_mut();
-    let mut tasks: Vec<Band<'_, F>> = flags
-        .chunks_mut(height * columns)
-        .enumerate()
-        .map(|(band, flags)| Band {
-            rows: band * height..band * height + flags.len() / columns,
-            planes: Vec::with_capacity(CHANNELS.len()),
-            flags,
-        })
-        .collect();
-    for plane in planes {
-        for (task, values) in tasks.iter_mut().zip(plane.chunks_mut(height * columns)) {
-            task.planes.push(values);
-        }
+    let mut planes = planes.map(Vec::as_mut_slice);
+    let mut flags = flags.as_mut_slice();
+    let mut tasks = Vec::with_capacity(bands);
+    for start in (0..rows).step_by(height) {
+        let rows = start..(start + height).min(rows);
+        let pixels = rows.len() * columns;
+        let planes = planes.each_mut().map(|plane| cut(plane, pixels));
+        tasks.push(Band { rows, planes, flags: cut(&mut flags, pixels) });
     }
     tasks.into_par_iter().for_each(|band| F::fit_band(&common, band));
     mask_off_plate(map, inputs.estimator);
@@ -125,38 +119,46 @@ solved!(f64);
 solved!(f32);
 
 #[inline(always)]
-fn fit_rows<S: Simd, F: Machine<S>>(simd: S, common: &Common<'_>, mut band: Band<'_, F>) {
-    let stride = common.sums.columns().next_multiple_of(WIDEST);
+fn fit_rows<S: Simd, F: Machine<S>>(simd: S, common: &Common<'_>, band: Band<'_, F>) {
+    let (columns, stride) = (common.sums.columns(), common.sums.columns().next_multiple_of(WIDEST));
     let mut writer = Writer {
-        channels: std::array::from_fn(|_| vec![F::of(0.0); stride]),
         flags: vec![F::of(0.0); stride],
         asked: vec![F::of(0.0); stride],
-        bits: vec![0; common.sums.columns()],
+        last: [[F::of(0.0); WIDEST]; CHANNELS.len()],
         pixel: Pixel::default(),
     };
-    let mut scratch = Scratch::default();
     let thermometer = Thermometer::new(common.inputs);
     let mut walk = Walk::new(common.sums, common.inputs, &common.used);
-    let first = band.rows.start;
-    walk.start(band.rows.clone(), common.pools());
+    let mut scratch = None;
+    walk.start(band.rows, common.pools());
+    let mut planes = band.planes;
+    let mut flags = band.flags;
     while let Some(row) = walk.row() {
-        writer.fit(simd, common, &row, &mut scratch);
-        writer.alone(common, &row);
-        writer.read(&thermometer);
-        let to = (row.row - first) * row.columns..(row.row - first + 1) * row.columns;
-        for (plane, values) in band.planes.iter_mut().zip(&writer.channels) {
-            plane[to.clone()].copy_from_slice(&values[..row.columns]);
-        }
-        band.flags[to].copy_from_slice(&writer.bits);
+        // Rows go straight to where they stay: a copy of fifteen channels costs a tenth of a solve.
+        let mut channels: [&mut [F]; CHANNELS.len()] = planes.each_mut().map(|plane| cut(plane, columns));
+        let bits = cut(&mut flags, columns);
+        writer.fit(simd, common, &row, &mut scratch, &mut channels);
+        writer.flag(bits);
+        writer.alone(common, &row, &mut channels, bits);
+        writer.read(&thermometer, &mut channels, bits);
     }
 }
 
+/// Takes the first `n` of what is left.
+fn cut<'a, T>(left: &mut &'a mut [T], n: usize) -> &'a mut [T] {
+    let (first, rest) = std::mem::take(left).split_at_mut(n);
+    *left = rest;
+    first
+}
+
+/// Where a row's channels go.
+type Channels<'a, F> = [&'a mut [F]; CHANNELS.len()];
+
 /// Answers of a row.
 struct Writer<F> {
-    channels: [Vec<F>; CHANNELS.len()],
     flags: Vec<F>,
     asked: Vec<F>,
-    bits: Vec<u32>,
+    last: [[F; WIDEST]; CHANNELS.len()],
     pixel: Pixel,
 }
 
@@ -167,87 +169,105 @@ impl<F: Number> Writer<F> {
         simd: S,
         common: &Common<'_>,
         row: &Row<'_, F>,
-        scratch: &mut Scratch<<F as Machine<S>>::Lanes>,
+        scratch: &mut Option<Scratch<<F as Machine<S>>::Lanes>>,
+        channels: &mut Channels<'_, F>,
     ) where
         F: Machine<S>,
     {
-        let each = row.stride / F::WIDTH;
+        let (each, constants) = (row.stride / F::WIDTH, &common.constants);
         let one = F::read(simd, row.flat, 0).all(0.0);
-        scratch.prepare(common.used.len(), one);
+        let scratch = scratch.get_or_insert_with(|| Scratch::new(one, constants));
         for vector in 0..row.columns.div_ceil(F::WIDTH) {
+            if vector == 0 || !row.alike {
+                for (k, place) in scratch.places.iter_mut().enumerate() {
+                    place.count = F::read(simd, row.count, k * each + vector);
+                }
+                scratch.place(one, constants);
+            }
             for (k, level) in scratch.levels.iter_mut().enumerate() {
                 let at = k * each + vector;
-                *level = Level {
-                    count: F::read(simd, row.count, at),
-                    mean: F::read(simd, row.mean, at),
-                    own: F::read(simd, row.own, at),
-                    blank: F::read(simd, row.blank, at),
-                    pooled: F::read(simd, row.pooled, at),
-                };
+                // One by one: a whole `Level` would go through the stack.
+                level.mean = F::read(simd, row.mean, at);
+                level.squares = F::read(simd, row.squares, at);
+                level.blank = F::read(simd, row.blank, at);
+                level.pooled = F::read(simd, row.pooled, at);
             }
             let group = Group {
                 flat: F::read(simd, row.flat, vector),
                 flags: F::read(simd, row.flags, vector),
                 alive: F::read(simd, row.alive, vector),
+                first_mean: one,
                 singles: row.singles,
             };
-            let answer = kernel::fit(one, &common.constants, common.inputs.estimator, &group, scratch);
-            for (channel, value) in self.channels.iter_mut().zip(answer.channels) {
-                F::write(channel, vector, value);
+            let answer = kernel::fit(one, constants, common.inputs.estimator, group, scratch);
+            let to = vector * F::WIDTH..(vector + 1) * F::WIDTH;
+            F::write(&mut self.flags[to.clone()], answer.flags);
+            F::write(&mut self.asked[to.clone()], answer.asked);
+            // The last pixels of a row may be fewer than a vector holds.
+            let whole = to.end <= row.columns;
+            let last = &mut self.last;
+            macro_rules! write {
+                // Spelled out: a loop over vectors would take them through the stack.
+                ($($channel:literal)*) => {$(
+                    let numbers =
+                        if whole { &mut channels[$channel][to.clone()] } else { &mut last[$channel][..F::WIDTH] };
+                    F::write(numbers, answer.channels[$channel]);
+                )*};
             }
-            F::write(&mut self.flags, vector, answer.flags);
-            F::write(&mut self.asked, vector, answer.asked);
+            write!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14);
+            if !whole {
+                for (channel, last) in channels.iter_mut().zip(last) {
+                    let end = &mut channel[to.start..];
+                    end.copy_from_slice(&last[..end.len()]);
+                }
+            }
         }
-        for (bits, &flags) in self.bits.iter_mut().zip(&self.flags) {
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "sums of bits below 2^24"
-            )]
-            let exact = flags.wide() as u32;
-            *bits = exact;
+    }
+
+    /// Flags as bits.
+    #[inline(always)]
+    fn flag(&self, bits: &mut [u32]) {
+        for (bits, &flags) in bits.iter_mut().zip(&self.flags) {
+            *bits = flags.bits_of();
         }
     }
 
     /// Pixels that were marked, one by one.
-    fn alone(&mut self, common: &Common<'_>, row: &Row<'_, F>) {
+    fn alone(
+        &mut self,
+        common: &Common<'_>,
+        row: &Row<'_, F>,
+        channels: &mut Channels<'_, F>,
+        bits: &mut [u32],
+    ) {
+        if bits.iter().fold(0, |any, bits| any | bits) & ALONE == 0 {
+            return;
+        }
         for i in 0..row.columns {
-            if self.bits[i] & ALONE == 0 {
+            if bits[i] & ALONE == 0 {
                 continue;
             }
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "sums of bits below 2^24"
-            )]
-            let before = row.flags[i].wide() as u32;
-            self.bits[i] = before;
+            bits[i] = row.flags[i].bits_of();
             let residuals = common.residuals.at(row.row * row.columns + i);
             self.pixel.gather(row, i, common.inputs, &common.constants, residuals);
             let Some(answer) = self.pixel.fit(&common.constants) else {
-                self.bits[i] |= flag::TOO_FEW_LEVELS;
-                self.channels[..GAIN].iter_mut().for_each(|channel| channel[i] = F::NAN);
+                bits[i] |= flag::TOO_FEW_LEVELS;
+                channels[..GAIN].iter_mut().for_each(|channel| channel[i] = F::NAN);
                 self.asked[i] = F::of(0.0);
                 continue;
             };
-            for (channel, value) in self.channels[..GAIN].iter_mut().zip(&answer.channels) {
+            for (channel, value) in channels[..GAIN].iter_mut().zip(&answer.channels) {
                 channel[i] = F::of(value.1);
             }
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "sums of bits below 2^24"
-            )]
-            let flags = answer.flags.1 as u32;
-            self.bits[i] |= flags;
+            bits[i] |= answer.flags.1.bits_of();
             self.asked[i] = F::of(answer.asked.1);
         }
     }
 
     #[inline(always)]
-    fn read(&mut self, thermometer: &Thermometer<'_, F>) {
-        let [_, _, _, _, temperature, _, sigma, _, _, _, low, high, noise, _, _] = &mut self.channels;
-        thermometer.read_flagged(temperature, [sigma, noise], &self.asked, &mut self.bits);
+    fn read(&self, thermometer: &Thermometer<'_, F>, channels: &mut Channels<'_, F>, bits: &mut [u32]) {
+        let [_, _, _, _, temperature, _, sigma, _, _, _, low, high, noise, _, _] = channels;
+        thermometer.read_flagged(temperature, [sigma, noise], &self.asked, bits);
         thermometer.read(low);
         thermometer.read(high);
     }
@@ -288,131 +308,11 @@ fn mask_off_plate<F: Number>(map: &mut DitMap<F>, estimator: Estimator) {
     }
 }
 
-/// How the pixel at `row` and `column` is fitted; None where it has no line.
-///
-/// Panics when there is no such pixel, which is the caller's mistake.
-pub fn detail(sums: &Sums, inputs: &FitInputs<'_>, row: usize, column: usize) -> Option<Detail> {
-    assert!(row < sums.rows() && column < sums.columns(), "a pixel of the sums");
-    let common = Common::new(sums, inputs);
-    let mut pixel = Pixel::default();
-    let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
-    walk.start(row..row + 1, common.pools());
-    let at = walk.row()?;
-    let residuals = common.residuals.at(row * sums.columns() + column);
-    pixel.gather(&at, column, inputs, &common.constants, residuals);
-    pixel.detail(inputs.estimator, &common.used)
-}
-
-/// What is known of the pixels whose emissivity is above `emissivity_min`, for forecasts: at most `pixels_max` of
-/// them, evenly taken, by our own estimator.
-pub fn prospects(
-    sums: &Sums,
-    inputs: &FitInputs<'_>,
-    emissivity_min: f64,
-    pixels_max: usize,
-) -> Vec<Prospect> {
-    let inputs = &FitInputs { estimator: Estimator::Default, ..inputs.clone() };
-    let common = Common::new(sums, inputs);
-    if sums.columns() == 0 || pixels_max == 0 {
-        return Vec::new();
-    }
-    let mut pixel = Pixel::default();
-    let mut found = Vec::new();
-    let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
-    walk.start(0..sums.rows(), true);
-    while let Some(row) = walk.row() {
-        for column in 0..row.columns {
-            // A first look by the unweighted line: most pixels see no spray.
-            let i = row.row * row.columns + column;
-            pixel.gather(&row, column, inputs, &common.constants, common.residuals.at(i));
-            if row.alive[column] > 0.0
-                && let Some(slope) = pixel.unweighted_slope()
-                && -slope > emissivity_min * inputs.gamma_near
-            {
-                found.push(pixel.prospect(inputs));
-            }
-        }
-    }
-    let step = found.len().div_ceil(pixels_max).max(1);
-    found.into_iter().step_by(step).flatten().collect()
-}
-
-/// Fits other values at other abscissae with the weights that [`super::solve`] gives the measured ones.
-///
-/// `x` and `y` belong to the levels of `sums` (all of them; a level without an x in `inputs` is left out), `y` is
-/// `[level][pixel]`. This is how a simulated world's expected counts are read: same weights, no noise. `None` for a
-/// pixel without a line.
-pub fn lines_with_same_weights(
-    sums: &Sums,
-    inputs: &FitInputs<'_>,
-    x: &[f64],
-    y: &[Vec<f64>],
-) -> Vec<Option<Line>> {
-    let levels = sums.levels().len();
-    assert!(x.len() == levels && y.len() == levels, "one x and one image per level");
-    by_pixel(sums, inputs, |used, pixel, i| {
-        pixel.weights(inputs.estimator).and_then(|weights| {
-            let x: Vec<f64> = pixel.levels.iter().map(|&k| x[used[k]]).collect();
-            let y: Vec<f64> = pixel.levels.iter().map(|&k| y[used[k]][i]).collect();
-            line::weighted(&x, &y, &weights)
-        })
-    })
-}
-
-/// How much of a level's error in x goes over into a pixel's crossing: dS/dx_k, `[pixel · levels + level]`, adding up to
-/// one. NaN for a pixel without a line, 0 for a level that is not there.
-pub fn crossing_shares(sums: &Sums, inputs: &FitInputs<'_>) -> Vec<f64> {
-    let levels = sums.levels().len();
-    let shares = by_pixel(sums, inputs, |used, pixel, _| {
-        let mut all = vec![f64::NAN; levels];
-        if let Some(shares) = pixel.crossing_shares(inputs.estimator) {
-            all.fill(0.0);
-            pixel.levels.iter().zip(shares).for_each(|(&k, share)| all[used[k]] = share);
-        }
-        all
-    });
-    shares.concat()
-}
-
-/// What `of` makes of every pixel, on all threads; it is told which levels have an x, the pixel's own and its place.
-fn by_pixel<T: Send>(
-    sums: &Sums,
-    inputs: &FitInputs<'_>,
-    of: impl Fn(&[usize], &mut Pixel, usize) -> T + Sync,
-) -> Vec<T> {
-    let common = Common::new(sums, inputs);
-    if sums.columns() == 0 {
-        return Vec::new();
-    }
-    let bands = rayon::current_num_threads() * BANDS_PER_THREAD;
-    let height = sums.rows().div_ceil(bands).max(1);
-    let starts: Vec<usize> = (0..sums.rows()).step_by(height).collect();
-    let bands: Vec<Vec<T>> = starts
-        .into_par_iter()
-        .map(|start| {
-            let rows = start..(start + height).min(sums.rows());
-            let mut pixel = Pixel::default();
-            let mut found = Vec::with_capacity(rows.len() * sums.columns());
-            let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
-            walk.start(rows, common.pools());
-            while let Some(row) = walk.row() {
-                for column in 0..row.columns {
-                    let i = row.row * row.columns + column;
-                    pixel.gather(&row, column, inputs, &common.constants, common.residuals.at(i));
-                    found.push(of(&common.used, &mut pixel, i));
-                }
-            }
-            found
-        })
-        .collect();
-    bands.into_iter().flatten().collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::estimate::calibration::SakumaHattori;
-    use crate::estimate::map::{CONFIDENCE, CameraNoise, solve};
+    use crate::estimate::map::{CONFIDENCE, CameraNoise, lines_with_same_weights, solve};
 
     const CURVE: SakumaHattori = SakumaHattori { a_counts: 7.2e5, a_um: 3.4, b_um_k: 1.5 };
     const PLATES_K: [f64; 5] = [373.0, 403.0, 433.0, 498.0, 533.0];
@@ -488,7 +388,7 @@ mod tests {
                 scalar.reshape(&sums, &inputs);
                 let common = Common::new(&sums, &inputs);
                 let (planes, flags) = scalar.planes_mut();
-                let planes = planes.into_iter().map(Vec::as_mut_slice).collect();
+                let planes = planes.map(Vec::as_mut_slice);
                 fit_rows(pulp::Scalar::new(), &common, Band { rows: 0..sums.rows(), planes, flags });
                 mask_off_plate(&mut scalar, estimator);
                 assert_eq!(bits(&one), bits(&scalar), "{estimator:?} {cycles}");
@@ -509,8 +409,8 @@ mod tests {
                 .levels()
                 .iter()
                 .map(|level| {
-                    (0..level.sum.len())
-                        .map(|i| crate::estimate::accumulate::mean(level.sum[i], level.count[i], 1))
+                    (0..map.flags.len())
+                        .map(|i| crate::estimate::accumulate::mean(level.sum(i), level.count(i), 1))
                         .collect()
                 })
                 .collect();

@@ -4,44 +4,59 @@ use super::lanes::Number;
 use super::{FitInputs, flag};
 use crate::estimate::calibration::{C2_UM_K, EXTRAPOLATION_MAX, Residual};
 
-/// I_cal(T_eff) = ε_B·(S + E_f), inverted.
+/// I_cal(T_eff) = ε_B·(S + E_f), inverted: T = (c2/ln(1 + A/I) − b)/a.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Thermometer<'a, F> {
     plate: F,
     far: F,
     a_counts: F,
-    a_um: F,
-    b_um_k: F,
-    c2: F,
-    /// Calibrated temperatures, and the least and the greatest 1/T of extrapolation.
+    /// c2/a, b/a, a/c2, and ln 2.
+    scale: F,
+    shift_k: F,
+    steepness: F,
+    ln2: F,
+    /// Calibrated temperatures, and the limits of extrapolation, in K.
     low_k: F,
     high_k: F,
-    cold: F,
-    hot: F,
+    coldest_k: F,
+    hottest_k: F,
     residual: Option<&'a Residual>,
+}
+
+/// What is known of a black body of some counts.
+#[derive(Clone, Copy)]
+struct Body<F> {
+    /// NaN for no light.
+    kelvin: F,
+    /// dT/dI, in K per count; garbage for no light.
+    slope: F,
+    lit: bool,
 }
 
 impl<'a, F: Number> Thermometer<'a, F> {
     pub(super) fn new(inputs: &FitInputs<'a>) -> Self {
-        let (low_k, high_k, cold, hot) = match inputs.range {
-            None => (0.0, f64::INFINITY, f64::INFINITY, 0.0),
+        let (low_k, high_k, coldest_k, hottest_k) = match inputs.range {
+            None => (0.0, f64::INFINITY, 0.0, f64::INFINITY),
             Some(range) => {
                 let (cold, hot) = (1.0 / range.low_k, 1.0 / range.high_k);
                 let margin = EXTRAPOLATION_MAX * (cold - hot);
-                (range.low_k, range.high_k, cold + margin, hot - margin)
+                // A limit beyond 1/T = 0 is none.
+                let hottest_k = if hot > margin { 1.0 / (hot - margin) } else { f64::INFINITY };
+                (range.low_k, range.high_k, 1.0 / (cold + margin), hottest_k)
             }
         };
         Self {
             plate: F::of(inputs.emissivity_plate),
             far: F::of(inputs.far_window_counts),
             a_counts: F::of(inputs.curve.a_counts),
-            a_um: F::of(inputs.curve.a_um),
-            b_um_k: F::of(inputs.curve.b_um_k),
-            c2: F::of(C2_UM_K),
+            scale: F::of(C2_UM_K / inputs.curve.a_um),
+            shift_k: F::of(inputs.curve.b_um_k / inputs.curve.a_um),
+            steepness: F::of(inputs.curve.a_um / C2_UM_K),
+            ln2: F::of(std::f64::consts::LN_2),
             low_k: F::of(low_k),
             high_k: F::of(high_k),
-            cold: F::of(cold),
-            hot: F::of(hot),
+            coldest_k: F::of(coldest_k),
+            hottest_k: F::of(hottest_k),
             residual: inputs.residual,
         }
     }
@@ -58,8 +73,7 @@ impl<'a, F: Number> Thermometer<'a, F> {
     #[inline(always)]
     fn read_by(&self, corrected: &impl Fn(F) -> (F, F), crossings: &mut [F]) {
         for value in crossings {
-            let counts = self.counts(*value);
-            let kelvin = corrected(self.kelvin(counts)).0;
+            let kelvin = corrected(self.body(self.counts(*value)).kelvin).0;
             *value = if self.outside(kelvin) { F::NAN } else { kelvin };
         }
     }
@@ -93,10 +107,9 @@ impl<'a, F: Number> Thermometer<'a, F> {
         let zero = F::of(0.0);
         let each = crossings.iter_mut().zip(sigmas.iter_mut().zip(noises.iter_mut()));
         for (((value, (sigma, noise)), &asked), flags) in each.zip(asked).zip(flags.iter_mut()) {
-            let counts = self.counts(*value);
-            let equation = self.kelvin(counts);
-            let (kelvin, by_equation) = corrected(equation);
-            let light = zero < counts && kelvin.is_number();
+            let body = self.body(self.counts(*value));
+            let (kelvin, by_equation) = corrected(body.kelvin);
+            let light = body.lit && kelvin.is_number();
             let outside = self.outside(kelvin);
             let inside = self.low_k <= kelvin && kelvin <= self.high_k;
             let bits = if !light {
@@ -110,11 +123,7 @@ impl<'a, F: Number> Thermometer<'a, F> {
             };
             *flags |= if zero < asked { bits } else { 0 };
             let known = light && !outside;
-            let kept = if known { equation } else { F::NAN };
-            // dT/dI = w²/(I (1 + I/A) c2 a) with w = a T + b.
-            let w = self.a_um * kept + self.b_um_k;
-            let slope = w * w / (counts * (F::of(1.0) + counts / self.a_counts) * self.c2 * self.a_um);
-            let slope = self.plate * slope * by_equation;
+            let slope = self.plate * body.slope * by_equation;
             // One NaN where nothing is known: the sign of a product of two depends on how it was compiled.
             let (sigma_k, noise_k) = (*sigma * slope, *noise * slope);
             *sigma = if known { sigma_k } else { F::NAN };
@@ -131,24 +140,21 @@ impl<'a, F: Number> Thermometer<'a, F> {
     /// NaN and everything beyond 10 % of the range in 1/T.
     #[inline(always)]
     fn outside(&self, kelvin: F) -> bool {
-        let at = F::of(1.0) / kelvin;
-        let inside = self.low_k <= kelvin && kelvin <= self.high_k;
-        let near = F::of(0.0) < kelvin && at <= self.cold && self.hot <= at;
-        !(inside || near)
+        let inside = self.coldest_k <= kelvin && kelvin <= self.hottest_k;
+        !inside
     }
 
-    /// Temperature of a black body of these counts; NaN for none.
+    /// Temperature of a black body of these counts, and its slope: dT/dI = w²/(I (1 + I/A) c2 a) with w = a T + b.
     #[inline(always)]
-    fn kelvin(&self, counts: F) -> F {
-        let (zero, one) = (F::of(0.0), F::of(1.0));
-        let x = self.a_counts / counts;
-        let u = one + x;
-        let lit = zero < counts && u.is_number();
-        let u = if lit { u } else { one + one };
-        // ln(1 + x) = ln(u) + (what rounding took from x)/u.
-        let lost = if lit { x - (u - one) } else { zero };
-        let kelvin = (self.c2 / (logarithm(u) + lost / u) - self.b_um_k) / self.a_um;
-        if lit { kelvin } else { F::NAN }
+    fn body(&self, counts: F) -> Body<F> {
+        let lit = F::LEAST <= counts && counts.is_number();
+        let counts = if lit { counts } else { self.a_counts };
+        let whole = counts + self.a_counts;
+        let width = self.scale / logarithm(whole, counts, self.a_counts, self.ln2);
+        // w = a·width, so that w²/(c2 a) = width²·a/c2.
+        let slope = width * width * (self.steepness * self.a_counts) / (counts * whole);
+        let kelvin = if lit { width - self.shift_k } else { F::NAN };
+        Body { kelvin, slope, lit }
     }
 }
 
@@ -158,25 +164,20 @@ fn corrected<F: Number>(residual: &Residual, equation: F) -> (F, F) {
     (F::of(kelvin), F::of(slope))
 }
 
-/// ln(u) of a normal number u > 0, to an ulp: FreeBSD's e_log.c by K. C. Ng, without its branches.
+/// ln(whole/part) for whole = part + more, all normal numbers > 0: k·ln 2 and the series of the inverse hyperbolic
+/// tangent, one division in all. Within three ulps of the result, and an ulp of `whole` over `part`.
 #[inline(always)]
-fn logarithm<F: Number>(u: F) -> F {
-    let (k, m) = u.split();
-    let f = m - F::of(1.0);
-    let s = f / (F::of(2.0) + f);
+fn logarithm<F: Number>(whole: F, part: F, more: F, ln2: F) -> F {
+    let (k, lifted) = whole.lift(part);
+    // Exact for neighbours within a factor of two; where `more` is the smaller, what rounding took from `whole` comes back.
+    let off = if F::of(0.0) < k { whole - lifted } else { more };
+    let s = off / (whole + lifted);
     let z = s * s;
-    let w = z * z;
-    let even = w
-        * (F::of(3.999_999_999_940_942e-1)
-            + w * (F::of(2.222_219_843_214_978_4e-1) + w * F::of(1.531_383_769_920_937_3e-1)));
-    let odd = z
-        * (F::of(6.666_666_666_666_735e-1)
-            + w * (F::of(2.857_142_874_366_239e-1)
-                + w * (F::of(1.818_357_216_161_805e-1) + w * F::of(1.479_819_860_511_658_6e-1))));
-    let half_square = F::of(0.5) * f * f;
-    let high = F::of(F::LN2_HIGH);
-    let low = F::of(F::LN2_LOW);
-    k * high - ((half_square - (s * (half_square + (even + odd)) + k * low)) - f)
+    let mut sum = F::of(0.0);
+    for &c in F::LOGARITHM.iter().rev() {
+        sum = sum * z + F::of(c);
+    }
+    k * ln2 + ((s + s) + s * (z * sum))
 }
 
 #[cfg(test)]
@@ -185,19 +186,20 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Against the C library's logarithm, at any exponent: two ulps of the result and one of the argument's.
+        /// Against the C library's logarithm, over all quotients that a curve can have.
         #[test]
-        fn logarithm_is_the_librarys(exponent in -1000..1000_i32, m in 1.0..2.0_f64) {
-            let u = m * 2.0_f64.powi(exponent);
-            let (got, want) = (logarithm(u), libm::log(u));
-            prop_assert!((got - want).abs() <= 2.0 * f64::EPSILON * want.abs() + 1e-16, "{u:e}: {got} {want}");
+        fn logarithm_is_the_librarys(exponent in -200..40_i32, m in 1.0..2.0_f64, more in 1.0..1e9_f64) {
+            let part = more * m * 2.0_f64.powi(exponent);
+            let (got, want) = (logarithm(part + more, part, more, std::f64::consts::LN_2), libm::log1p(more / part));
+            prop_assert!((got - want).abs() <= 4.0 * f64::EPSILON * want.abs(), "{part:e}: {got} {want}");
         }
 
         #[test]
-        fn short_logarithm_is_the_librarys(exponent in -120..120_i32, m in 1.0..2.0_f32) {
-            let u = m * 2.0_f32.powi(exponent);
-            let (got, want) = (f64::from(logarithm(u)), libm::log(f64::from(u)));
-            prop_assert!((got - want).abs() <= 2.0 * f64::from(f32::EPSILON) * want.abs() + 1e-7, "{u:e}: {got} {want}");
+        fn short_logarithm_is_the_librarys(exponent in -80..10_i32, m in 1.0..2.0_f32, more in 1.0..1e9_f32) {
+            let part = more * m * 2.0_f32.powi(exponent);
+            let got = f64::from(logarithm(part + more, part, more, std::f32::consts::LN_2));
+            let want = libm::log1p(f64::from(more) / f64::from(part));
+            prop_assert!((got - want).abs() <= 4.0 * f64::from(f32::EPSILON) * want.abs(), "{part:e}: {got} {want}");
         }
     }
 }

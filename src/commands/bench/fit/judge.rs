@@ -137,7 +137,7 @@ fn tally_oracle(
             let y: Vec<f64> = sums
                 .levels()
                 .iter()
-                .map(|level| crate::estimate::accumulate::mean(level.sum[i], level.count[i], 1))
+                .map(|level| crate::estimate::accumulate::mean(level.sum(i), level.count(i), 1))
                 .collect();
             let w = truth.variance.map(|v| n / v);
             line::weighted(&x, &y, &w)

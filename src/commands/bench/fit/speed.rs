@@ -15,7 +15,7 @@ const CYCLES: usize = 10;
 const SEED: u64 = 77;
 
 /// Bytes of a pixel that a cycle of one blank reads and writes: ΣY, ΣY², Σ blanks, count, twice; two samples.
-const BYTES_TOUCHED: usize = 2 * (8 + 8 + 8 + 4) + 4;
+const BYTES_TOUCHED: usize = 2 * (4 + 8 + 4 + 2) + 4;
 
 /// A batch lasts about this long, s: the system counts processor time in steps of some milliseconds.
 const BATCH: f64 = 0.1;
@@ -137,16 +137,24 @@ fn measured(
         let live: Vec<f64> = short.1.temperature_k.iter().map(|&t| f64::from(t)).collect();
         say(&format!("solve, f32: {}", estimator.name()), short.0, rms(&live, truths), kind);
     }
-    let mut map = DitMap::<f32>::empty();
-    let inputs = shots::inputs(Estimator::Default, CAMERA);
     let mut fresh = empty();
-    let whole = fastest(watch, threads, || {
+    let adding = fastest(watch, threads, || {
         fresh.clear();
         add_all(&mut fresh, pairs);
-        solve_into(&fresh, &inputs, &mut map);
     });
-    let live: Vec<f64> = map.temperature_k.iter().map(|&t| f64::from(t)).collect();
-    say("50 raw pairs to map, f32: default", whole, rms(&live, truths), "rms of T where emissivity > 0.2, K");
+    say("50 raw pairs to sums", adding, 0.0, "exact");
+    for estimator in [Estimator::Default, Estimator::Paper] {
+        let mut map = DitMap::<f32>::empty();
+        let inputs = shots::inputs(estimator, CAMERA);
+        let whole = fastest(watch, threads, || {
+            fresh.clear();
+            add_all(&mut fresh, pairs);
+            solve_into(&fresh, &inputs, &mut map);
+        });
+        let live: Vec<f64> = map.temperature_k.iter().map(|&t| f64::from(t)).collect();
+        let name = format!("50 raw pairs to map, f32: {}", estimator.name());
+        say(&name, whole, rms(&live, truths), "rms of T where emissivity > 0.2, K");
+    }
 }
 
 /// Time of a solve into memory that is used again, and its map.
