@@ -78,6 +78,10 @@ struct Shining<S> {
 pub(super) struct Flock<S> {
     walk: Walk,
     through: [S; LANES],
+    /// Of the last block: the weight on entering, what was stopped, and what of it was scattered.
+    before: [S; LANES],
+    here: [S; LANES],
+    again: [S; LANES],
     /// Emission of channel 0 along the ray; of it and of what is scattered the sum over all groups.
     own: [S; LANES],
     emitted: Floats,
@@ -100,6 +104,9 @@ impl<S: Spectrum> Flock<S> {
         Self {
             walk: Walk::new(),
             through: none,
+            before: none,
+            here: none,
+            again: none,
             own: none,
             emitted: ZEROS,
             scattered: ZEROS,
@@ -240,26 +247,33 @@ impl<S: Spectrum> Flock<S> {
             let [k, albedo] = &blocks.core[place as usize];
             let (passed, stopped) = k.split(length);
             let weight = self.through[l];
-            let here = weight.times(stopped);
-            let again = here.times(*albedo);
-            let own = here.minus(again);
-            self.own[l] = self.own[l].plus(own);
+            self.here[l] = weight.times(stopped);
+            self.again[l] = self.here[l].times(*albedo);
+            self.own[l] = self.own[l].plus(self.here[l].minus(self.again[l]));
+            self.before[l] = weight;
             self.through[l] = weight.times(passed);
-            let part = again.sum();
+        }
+        for l in 0..LANES {
+            let (place, start) = (step.place.0[l], step.start.0[l]);
+            let length = step.exit.0[l] - start;
+            if place == NOWHERE || length <= 0.0 {
+                continue;
+            }
+            let part = self.again[l].sum();
             let scattered = self.scattered.0[l] + part;
             self.scattered.0[l] = scattered;
             if drawn(self.key.0[l]) * scattered < part {
                 let chosen = &mut self.chosen;
                 (chosen.place.0[l], chosen.start.0[l], chosen.length.0[l]) = (place, start, length);
-                (chosen.part.0[l], chosen.weight[l]) = (part, weight);
+                (chosen.part.0[l], chosen.weight[l]) = (part, self.before[l]);
             }
             if blocks.channels > 1 {
-                let part = own.sum();
+                let part = (self.here[l].sum() - part).max(0.0);
                 let emitted = self.emitted.0[l] + part;
                 self.emitted.0[l] = emitted;
                 if drawn(self.key.0[l] ^ OTHER) * emitted < part {
                     let shining = &mut self.shining;
-                    (shining.place.0[l], shining.part.0[l], shining.stopped[l]) = (place, part, here);
+                    (shining.place.0[l], shining.part.0[l], shining.stopped[l]) = (place, part, self.here[l]);
                 }
             }
             if self.through[l].largest() <= OPAQUE {

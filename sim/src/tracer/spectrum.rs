@@ -215,7 +215,15 @@ impl<const N: usize> Spectrum for [Lane; N] {
                 all[i] += self[n].0[i];
             }
         }
-        ((all[0] + all[4]) + (all[2] + all[6])) + ((all[1] + all[5]) + (all[3] + all[7]))
+        let half: [f32; 4] = each(
+            #[inline(always)]
+            |i| all[i] + all[i + 4],
+        );
+        let quarter: [f32; 2] = each(
+            #[inline(always)]
+            |i| half[i] + half[i + 2],
+        );
+        quarter[0] + quarter[1]
     }
     #[inline(always)]
     fn largest(self) -> f32 {
