@@ -1,7 +1,5 @@
 //! What the tests of all simulated calibrators share: settings, a plate, and the campaign of bad answers.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests")]
-
 use super::line::LineFault;
 use super::plate::{Plate, PlateFault, PlateModel};
 use ditd_drivers::instrument::{Calibrator, CalibratorSettings};

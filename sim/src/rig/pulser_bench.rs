@@ -13,6 +13,9 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep, timeout};
 
+/// A pulse of the camera: its time, and the injector's delay and width when it fires with it.
+pub(super) type Made = (u64, Option<(u64, u64)>);
+
 pub(super) fn limits() -> TriggerLimits {
     TriggerLimits {
         injector_pulse_max_s: 0.005,
@@ -84,7 +87,7 @@ pub(super) async fn run(
 /// Bad answers cost time, and change no pulse. `made` is as [`made`] for the unit.
 pub(super) async fn assert_bad_answers_change_nothing(
     driver: &str,
-    made: fn(&[Pulse], &ShotProgram) -> Vec<(u64, Option<(u64, u64)>)>,
+    made: fn(&[Pulse], &ShotProgram) -> Vec<Made>,
 ) {
     for fault in [
         LineFault::Late { every: 9, delay_s: 1.3 },
@@ -126,7 +129,7 @@ pub(super) async fn all(receiver: &mut mpsc::Receiver<Pulse>) -> Vec<Pulse> {
 }
 
 /// The pulses that a program means, from the seam's own definitions.
-pub(super) fn meant(program: &ShotProgram) -> Vec<(u64, Option<(u64, u64)>)> {
+pub(super) fn meant(program: &ShotProgram) -> Vec<Made> {
     let injection = Some((program.injector_delay_ns, program.injector_width_ns));
     (0..program.cycles)
         .flat_map(|cycle| (0..program.frames_per_cycle()).map(move |position| (cycle, position)))
@@ -138,7 +141,7 @@ pub(super) fn meant(program: &ShotProgram) -> Vec<(u64, Option<(u64, u64)>)> {
 }
 
 /// The pulses that came, in the same form, on a unit that makes its pauses by its own clock.
-pub(super) fn made(pulses: &[Pulse], program: &ShotProgram) -> Vec<(u64, Option<(u64, u64)>)> {
+pub(super) fn made(pulses: &[Pulse], program: &ShotProgram) -> Vec<Made> {
     let base_ns = pulses[0].at_ns - program.frame_ns(0, 0);
     pulses
         .iter()
