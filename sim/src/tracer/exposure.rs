@@ -25,7 +25,7 @@ const TASK_PIXELS: usize = 2048;
 
 /// Share of the target that the means over the pixels may err, rms; where nothing is scattered nothing else errs.
 pub(super) const PIXEL_SHARE: f32 = 0.5;
-const PIXEL_SHARE_ALONE: f32 = 0.8;
+const PIXEL_SHARE_ALONE: f32 = 0.95;
 
 impl Job<'_> {
     pub(super) fn gather<S: Spectrum>(
