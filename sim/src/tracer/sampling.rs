@@ -156,10 +156,12 @@ impl Job<'_> {
     fn probes<S: Spectrum>(&self, fine: &Fine<S>, candidates: &[u32]) -> Probes<'_> {
         let wide = self.frame.pixel_in_cells(&fine.bricks);
         let centre = self.frame.camera.pixel_filter == PixelFilter::Centre;
-        // For a rough image a demand that a few sights gave will do: leaves beside those that were seen get some too.
+        // One probe for about every cell; for a rough image fewer will do: leaves beside those that were seen get some too.
         let rough = if self.options.target_error >= ROUGH { 2 } else { 1 };
         let stride = if wide <= 0.25 {
             4
+        } else if wide <= 1.0 / 3.0 {
+            3.max(2 * rough)
         } else if wide <= 0.5 {
             2 * rough
         } else {
