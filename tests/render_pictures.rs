@@ -102,3 +102,25 @@ fn impossible_temperatures_and_unlit_scenes_end_with_status_2() {
         assert!(!folder.path().join("a.png").exists());
     }
 }
+
+/// Before anything is rendered: a picture that has no place is known at once.
+#[test]
+fn places_that_cannot_be_written_are_told_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("maps")).unwrap();
+    for (arguments, told) in [
+        (["--out", "maps"], "maps: is a folder. Name a file, maps/image for example"),
+        (["--png", "maps"], "is a folder"),
+        (["--out", "nowhere/a.exr"], "there is no folder nowhere. Create it, or name another place"),
+    ] {
+        // No scene is needed to see it.
+        let output = Command::new(env!("CARGO_BIN_EXE_ditd"))
+            .args(["render", "no-such-scene.toml"])
+            .args(arguments)
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && error.contains(told), "{arguments:?}: {error}");
+    }
+}

@@ -12,7 +12,7 @@ use super::{CommandError, CommandResult};
 use ditd_sim::scene::exposure::Moments;
 use ditd_sim::scene::file;
 use ditd_sim::scene::optics::OpticsOptions;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Default target of single rays: absolute standard error of each coefficient.
 const RAY_TARGET: f64 = 1e-4;
@@ -78,6 +78,9 @@ pub fn run(args: Args) -> CommandResult {
     if args.target_error.is_some_and(|t| t.is_nan() || t <= 0.0) {
         return Err(CommandError::usage("render: --target-error must be positive"));
     }
+    for path in args.out.iter().chain(&args.png) {
+        check_place(path)?;
+    }
     let default = if args.rays.is_some() { RAY_TARGET } else { IMAGE_TARGET };
     let options = OpticsOptions { target_error: args.target_error.unwrap_or(default) };
     let scene = file::load(&args.scene).map_err(|e| CommandError::usage(e.to_string()))?;
@@ -102,6 +105,21 @@ pub fn run(args: Args) -> CommandResult {
         (Some(table), _) => rays::single_rays(&scenes[0].1, table, &args),
         (None, Some(number)) => shots::images(scenes, number, &args),
         (None, None) => image::image(scenes, moments.pixels, &args),
+    }
+}
+
+/// Refuses a file that could not be written, before any work is done for it.
+fn check_place(path: &Path) -> Result<(), CommandError> {
+    let refuse = |problem: String| Err(CommandError::usage(format!("render: {}: {problem}", path.display())));
+    if path.is_dir() {
+        return refuse(format!("is a folder. Name a file, {} for example", path.join("image").display()));
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    match folder.filter(|folder| !folder.is_dir()) {
+        Some(folder) => {
+            refuse(format!("there is no folder {}. Create it, or name another place", folder.display()))
+        }
+        None => Ok(()),
     }
 }
 

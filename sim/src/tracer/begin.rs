@@ -40,7 +40,7 @@ pub(super) fn members<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, owner: u32, 
         for y in low[1]..low[1] + edge {
             for z in low[2]..low[2] + edge {
                 let place = first + (x * EDGE + y) * EDGE + z;
-                if is_occupied(fine.slot[place]) {
+                if is_occupied(fine.ordinal[place]) {
                     let [k, albedo] = fine.core[place];
                     let scattering = k.times(albedo).sum();
                     // A cell that does not scatter still gets a value, though nothing will be multiplied with it.

@@ -2,7 +2,7 @@
 
 use super::bricks::{Brick, Bricks, EDGE, NONE};
 use super::medium::{EMPTY, GridMedium};
-use super::spectrum::{One, Spectrum, narrow};
+use super::spectrum::{One, Spectrum, narrow, vectorised};
 use rayon::prelude::*;
 
 /// Extinction beyond which a cell of any size is opaque in f32; keeps products finite.
@@ -11,16 +11,14 @@ const K_MAX: f64 = 1e30;
 /// Cells of a brick.
 pub(super) const CELLS: usize = EDGE * EDGE * EDGE;
 
-/// Coefficients per occupied cell.
+/// Coefficients per place.
 #[derive(Clone)]
 pub(super) struct Fine<S> {
     pub(super) bricks: Bricks,
-    /// Number of each occupied brick in `bricks`, in the order of their cells.
+    /// Number of each occupied brick in `bricks`, in the order of their places.
     pub(super) occupied: Vec<usize>,
-    /// Ordinal of the cell at each place, or [`EMPTY`].
-    pub(super) slot: Vec<u32>,
-    /// Its ordinal in the medium, `[ordinal]`.
-    pub(super) original: Vec<u32>,
+    /// Ordinal in the medium of the cell at each place, or [`EMPTY`].
+    pub(super) ordinal: Vec<u32>,
     /// Extinction in 1/m, and scattering over extinction, `[place]`; zero where nothing is. What is not scattered is
     /// emitted by channel 0.
     pub(super) core: Vec<[S; 2]>,
@@ -38,40 +36,36 @@ impl<S: Spectrum> Fine<S> {
     )]
     pub(super) fn new(medium: &GridMedium, factor: usize) -> Self {
         let mut bricks = Bricks::new(medium.lower_m, medium.upper_m, medium.cells.map(|n| n * factor));
-        // Bricks are packed column by column along z, where the medium's cells lie in rows; whole cells of the medium lie
-        // in each, so that what is counted there counts `factor`³ times.
+        // Bricks are packed column by column along z, where the medium's cells lie in rows.
         let columns: Vec<Column<'_>> = (0..bricks.count[0] * bricks.count[1])
             .map(|c| Column { medium, factor, at: [c / bricks.count[1], c % bricks.count[1]] })
             .collect();
-        let counts: Vec<Vec<u32>> = columns.par_iter().map(|column| column.counts(bricks.count[2])).collect();
-        let (groups, channels) = (medium.groups, medium.channels);
+        let filled: Vec<Vec<bool>> =
+            columns.par_iter().map(|column| column.filled(bricks.count[2])).collect();
         let occupied: Vec<usize> =
-            counts.iter().flatten().enumerate().filter(|&(_, &count)| count > 0).map(|(b, _)| b).collect();
+            filled.iter().flatten().enumerate().filter(|&(_, &filled)| filled).map(|(b, _)| b).collect();
         for (i, &b) in occupied.iter().enumerate() {
             bricks.list[b] = Brick { first: (i * CELLS) as u32, log: 3 };
         }
-        let total: usize = counts.iter().flatten().map(|&count| count as usize).sum();
-        let mut slot = vec![EMPTY; occupied.len() * CELLS];
+        let mut ordinal = vec![EMPTY; occupied.len() * CELLS];
         let mut core = vec![[S::ZERO; 2]; occupied.len() * CELLS];
-        let mut original = vec![0_u32; total];
-        let mut source = vec![S::ZERO; total * (channels - 1)];
         let mut jobs = Vec::with_capacity(columns.len());
-        let mut left = Packed {
-            first: 0,
-            slot: &mut slot,
-            core: &mut core,
-            original: &mut original,
-            source: &mut source,
-        };
-        for (column, counts) in columns.iter().zip(&counts) {
-            let bricks = counts.iter().filter(|&&count| count > 0).count();
-            let cells = counts.iter().sum::<u32>();
-            let (packed, rest) = left.split(bricks * CELLS, cells, channels - 1);
-            left = rest;
-            jobs.push((column, counts, packed));
+        let mut left = (ordinal.as_mut_slice(), core.as_mut_slice());
+        for (column, filled) in columns.iter().zip(&filled) {
+            let places = CELLS * filled.iter().filter(|&&filled| filled).count();
+            let (ordinal, ordinals) = left.0.split_at_mut(places);
+            let (core, cores) = left.1.split_at_mut(places);
+            left = (ordinals, cores);
+            jobs.push((column, filled, ordinal, core));
         }
-        jobs.into_par_iter().for_each(|(column, counts, packed)| column.pack(counts, packed));
-        Self { bricks, occupied, slot, original, core, source, channels, groups }
+        jobs.into_par_iter().for_each(|(column, filled, ordinal, core)| {
+            vectorised(
+                #[inline(always)]
+                || column.pack(filled, ordinal, core),
+            );
+        });
+        let source = sources(medium);
+        Self { bricks, occupied, ordinal, core, source, channels: medium.channels, groups: medium.groups }
     }
 }
 
@@ -98,56 +92,36 @@ impl Column<'_> {
         })
     }
 
-    /// Occupied cells in each brick.
-    fn counts(&self, bricks: usize) -> Vec<u32> {
-        let mut counts = vec![0; bricks];
+    /// Which bricks have any occupied cell.
+    fn filled(&self, bricks: usize) -> Vec<bool> {
+        let mut filled = vec![false; bricks];
         for (_, row) in self.rows() {
-            for (count, run) in counts.iter_mut().zip(row.chunks(EDGE / self.factor)) {
-                *count += run.iter().map(|&i| u32::from(i != EMPTY)).sum::<u32>();
+            for (filled, run) in filled.iter_mut().zip(row.chunks(EDGE / self.factor)) {
+                *filled |= run.iter().fold(false, |any, &o| any | (o != EMPTY));
             }
         }
-        let copies = u32::try_from(self.factor.pow(3)).unwrap_or(u32::MAX);
-        counts.iter().map(|n| n * copies).collect()
+        filled
     }
 
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "as many places as fit into u32 are checked by the caller"
-    )]
-    fn pack<S: Spectrum>(&self, counts: &[u32], to: Packed<'_, S>) {
+    /// Fills the places of the bricks that have any occupied cell.
+    #[inline(always)]
+    fn pack<S: Spectrum>(&self, filled: &[bool], ordinal: &mut [u32], core: &mut [[S; 2]]) {
         let Self { medium, factor, .. } = *self;
-        let (groups, channels) = (medium.groups, medium.channels);
-        let extra = channels - 1;
-        // Where the next cell of each brick comes, and its places.
-        let (mut cells, mut bricks) = (0, 0);
-        let mut next: Vec<(usize, usize)> = counts
-            .iter()
-            .map(|&count| {
-                let here = (cells, bricks * CELLS);
-                (cells, bricks) = (cells + count as usize, bricks + usize::from(count > 0));
-                here
-            })
-            .collect();
         for (local, row) in self.rows() {
-            for ((next, places), run) in next.iter_mut().zip(row.chunks(EDGE / factor)) {
-                for (i, &o) in run.iter().enumerate().filter(|&(_, &o)| o != EMPTY) {
-                    let (cell, from) = (cell(medium, o as usize), o as usize * groups);
+            let runs = row.chunks(EDGE / factor).zip(filled).filter(|&(_, &filled)| filled);
+            for (brick, (run, _)) in runs.enumerate() {
+                let first = brick * CELLS + local;
+                for (i, &o) in run.iter().enumerate() {
+                    if o == EMPTY {
+                        continue;
+                    }
+                    let cell = cell(medium, o as usize);
                     // The copies of a cell lie side by side.
                     for x in 0..factor {
                         for y in 0..factor {
-                            for z in 0..factor {
-                                let place = *places + local + (x * EDGE + y) * EDGE + i * factor + z;
-                                to.slot[place] = to.first + *next as u32;
-                                to.core[place] = cell;
-                                to.original[*next] = o;
-                                for c in 0..extra {
-                                    let start = (o as usize * channels + 1 + c) * groups;
-                                    let k = &medium.k_ext[from..from + groups];
-                                    to.source[*next * extra + c] =
-                                        over(&medium.emission[start..start + groups], k);
-                                }
-                                *next += 1;
-                            }
+                            let from = first + (x * EDGE + y) * EDGE + i * factor;
+                            ordinal[from..from + factor].fill(o);
+                            core[from..from + factor].fill(cell);
                         }
                     }
                 }
@@ -156,34 +130,21 @@ impl Column<'_> {
     }
 }
 
-/// Where a part of the medium is packed.
-struct Packed<'a, S> {
-    /// Ordinal of its first cell.
-    first: u32,
-    slot: &'a mut [u32],
-    core: &'a mut [[S; 2]],
-    original: &'a mut [u32],
-    source: &'a mut [S],
-}
-
-impl<S> Packed<'_, S> {
-    /// Its first places and cells, and the rest.
-    fn split(self, places: usize, cells: u32, extra: usize) -> (Self, Self) {
-        let (slot, slots) = self.slot.split_at_mut(places);
-        let (core, cores) = self.core.split_at_mut(places);
-        let (original, originals) = self.original.split_at_mut(cells as usize);
-        let (source, sources) = self.source.split_at_mut(cells as usize * extra);
-        (
-            Self { first: self.first, slot, core, original, source },
-            Self {
-                first: self.first + cells,
-                slot: slots,
-                core: cores,
-                original: originals,
-                source: sources,
+/// Emission over extinction of the channels from 1 on, cell by cell of the medium.
+fn sources<S: Spectrum>(medium: &GridMedium) -> Vec<S> {
+    let (groups, extra) = (medium.groups, medium.channels - 1);
+    let mut source = vec![S::ZERO; medium.occupied() * extra];
+    if extra > 0 {
+        let emission = medium.emission.par_chunks_exact(groups * medium.channels);
+        source.par_chunks_exact_mut(extra).zip(emission).zip(medium.k_ext.par_chunks_exact(groups)).for_each(
+            |((source, emission), k)| {
+                for (to, emission) in source.iter_mut().zip(emission.chunks_exact(groups).skip(1)) {
+                    *to = over(emission, k);
+                }
             },
-        )
+        );
     }
+    source
 }
 
 /// Extinction and albedo of a cell of the medium, given by its ordinal.
@@ -217,9 +178,9 @@ impl<S: Spectrum> Fine<S> {
     }
 }
 
-/// Whether a place is occupied.
-pub(super) fn is_occupied(slot: u32) -> bool {
-    slot != EMPTY
+/// Whether a place, given by its ordinal, is occupied.
+pub(super) fn is_occupied(ordinal: u32) -> bool {
+    ordinal != EMPTY
 }
 
 const _: () = assert!(NONE == EMPTY);

@@ -155,7 +155,7 @@ impl<S: Spectrum> Sight<S> {
             let turned = weight.times(albedo);
             own = own.plus(weight.minus(turned));
             if extra > 0 {
-                let o = fine.slot[place] as usize;
+                let o = fine.ordinal[place] as usize;
                 for c in 0..extra {
                     let to = &mut self.extra[c][0];
                     *to = to.plus_product(weight, fine.source[o * extra + c]);

@@ -158,7 +158,7 @@ impl Job<'_> {
         take(self.shown(&fine, lit.as_ref(), plate_seen.clone(), &candidates, stats));
         (self.progress)(1.0);
         for factors in shots {
-            let (fine, lit) = denser(&fine, lit.as_ref(), &factors)?;
+            let (fine, lit) = denser(&fine, self.medium.occupied(), lit.as_ref(), &factors)?;
             take(self.shown(&fine, lit.as_ref(), plate_seen.clone(), &candidates, Stats::new()));
         }
         Ok(())

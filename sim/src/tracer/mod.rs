@@ -39,6 +39,7 @@ mod path;
 mod paths;
 mod pieces;
 mod pixels;
+mod pyramid;
 mod raster;
 mod reconstruct;
 mod sampling;

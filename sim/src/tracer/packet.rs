@@ -250,7 +250,7 @@ impl Packet {
             for s in 0..kept {
                 let weight = self.weight[s].0[l];
                 if weight > 0.0 {
-                    let o = fine.slot[self.place[s].0[l] as usize] as usize;
+                    let o = fine.ordinal[self.place[s].0[l] as usize] as usize;
                     let source = &fine.source[o * extra..(o + 1) * extra];
                     for (sum, source) in self.direct[l * extra..(l + 1) * extra].iter_mut().zip(source) {
                         *sum = source.get(0).mul_add(weight, *sum);

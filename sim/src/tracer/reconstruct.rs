@@ -9,7 +9,8 @@
 use super::bricks::{EDGE, EDGE_LOG, NONE};
 use super::cache::{Cache, Leaves, owners};
 use super::chamber::SIDES;
-use super::fine::Fine;
+use super::fine::{CELLS, Fine};
+use super::pyramid::Pyramid;
 use super::spectrum::{Spectrum, narrow};
 use rayon::prelude::*;
 
@@ -106,9 +107,9 @@ pub(super) struct Places<'a> {
 }
 
 impl<'a> Places<'a> {
-    pub(super) fn new<S: Spectrum>(fine: &Fine<S>, leaves: &'a Leaves) -> Self {
+    pub(super) fn new<S: Spectrum>(fine: &Fine<S>, pyramid: &Pyramid<S>, leaves: &'a Leaves) -> Self {
         let owner = owners(leaves);
-        let list = places(fine, leaves, &owner);
+        let list = places(fine, pyramid, leaves, &owner);
         Self { leaves, owner, list, channels: fine.channels }
     }
 }
@@ -218,10 +219,10 @@ fn lost<S: Spectrum>(leaf: &InLeaf<S>, place: &Place, all: &[InLeaf<S>]) -> [S; 
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "leaf counts are below 2^32")]
-fn places<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, owner: &[u32]) -> Vec<Place> {
+fn places<S: Spectrum>(fine: &Fine<S>, pyramid: &Pyramid<S>, leaves: &Leaves, owner: &[u32]) -> Vec<Place> {
     let bricks = &leaves.bricks;
     let size = narrow(bricks.size[0].max(bricks.size[1]).max(bricks.size[2]));
-    let depths = depths(fine, leaves);
+    let depths = depths(fine, pyramid, leaves);
     owner
         .par_iter()
         .enumerate()
@@ -243,23 +244,18 @@ fn places<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, owner: &[u32]) -> Vec<Pl
 }
 
 /// Mean extinction of every leaf over its volume in 1/m; zero where nothing is.
-fn depths<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves) -> Vec<f32> {
-    use super::fine::CELLS;
-    leaves
-        .occupied
-        .par_iter()
-        .enumerate()
-        .flat_map_iter(|(i, &b)| {
-            let brick = leaves.bricks.list[b];
-            let mut sums = vec![0.0_f32; brick.blocks()];
-            for (local, [k, _]) in fine.core[i * CELLS..(i + 1) * CELLS].iter().enumerate() {
-                let place = brick.place(local / (EDGE * EDGE), local / EDGE % EDGE, local % EDGE);
-                sums[place - brick.first as usize] += k.sum();
-            }
-            let cells = narrow(real(CELLS / brick.blocks()) * real(fine.groups));
-            sums.into_iter().map(move |s| s / cells)
-        })
-        .collect()
+fn depths<S: Spectrum>(fine: &Fine<S>, pyramid: &Pyramid<S>, leaves: &Leaves) -> Vec<f32> {
+    let mut depths = Vec::with_capacity(leaves.demand.len());
+    for (i, &b) in leaves.occupied.iter().enumerate() {
+        let brick = leaves.bricks.list[b];
+        let cells = narrow(real(CELLS / brick.blocks()) * real(fine.groups));
+        if brick.log < EDGE_LOG {
+            depths.extend(pyramid.blocks(i, brick.log).iter().map(|block| block.extinction.sum() / cells));
+        } else {
+            depths.extend(fine.core[i * CELLS..(i + 1) * CELLS].iter().map(|[k, _]| k.sum() / cells));
+        }
+    }
+    depths
 }
 
 /// The leaves beside the faces of one in a brick; of smaller ones the four that touch the middle of the face.

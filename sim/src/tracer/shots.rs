@@ -23,18 +23,18 @@ const DENSER_MAX: f32 = 1e6;
 const AROUND_MIN: f32 = 0.1;
 const AROUND_MAX: f32 = 10.0;
 
-/// A medium with densities multiplied by one factor per occupied cell, and the light in it.
+/// A medium with densities multiplied by one factor for each of its `expected` occupied cells, and the light in it.
 ///
 /// # Errors
 ///
 /// [`TracerError::Shape`] or [`TracerError::Coefficient`] for factors that do not fit, are negative or undefined.
 pub(super) fn denser<S: Spectrum>(
     fine: &Fine<S>,
+    expected: usize,
     lit: Option<&Lit<S>>,
     factors: &[f32],
 ) -> Result<(Fine<S>, Option<Lit<S>>), TracerError> {
     let what = "a shot's factors";
-    let expected = fine.original.iter().max().map_or(0, |&o| o as usize + 1);
     if factors.len() != expected {
         return Err(TracerError::Shape { what, found: factors.len(), expected });
     }
@@ -45,11 +45,11 @@ pub(super) fn denser<S: Spectrum>(
     let core: Vec<[S; 2]> = fine
         .core
         .par_iter()
-        .zip(&fine.slot)
+        .zip(&fine.ordinal)
         .with_min_len(CELLS)
-        .map(|(&[k, albedo], &slot)| match slot {
+        .map(|(&[k, albedo], &ordinal)| match ordinal {
             EMPTY => [k, albedo],
-            slot => [k.scaled(factors[fine.original[slot as usize] as usize]), albedo],
+            o => [k.scaled(factors[o as usize]), albedo],
         })
         .collect();
     let lit = lit.map(|lit| {
