@@ -110,6 +110,9 @@ pub(super) fn mixed(seen: &[f32]) -> bool {
 
 /// Scales the shares of one pixel's ends, `[end][group]`, so that each group's sum closes with plate and medium.
 pub(super) fn close(ends: &mut [f32], plate: &[f32], medium: &[f32]) {
+    if ends.is_empty() {
+        return;
+    }
     let groups = plate.len();
     for g in 0..groups {
         let walls = (1.0 - f64::from(plate[g]) - f64::from(medium[g])).max(0.0);

@@ -28,9 +28,25 @@ pub(super) struct Summary {
 }
 
 impl Job<'_> {
+    /// An image with its error maps: of plate and medium, and of the walls where they are told apart.
+    pub(super) fn with_errors(
+        &self,
+        operator: Operator,
+        summaries: &[Summary],
+        refined: &[Refinement],
+        active: &[usize],
+        stats: &mut Stats,
+    ) -> Operator {
+        let mut operator = self.error_map(operator, summaries, refined, active, stats);
+        if !operator.ends_seen.is_empty() {
+            operator.error_ends = self.ends_error_map(&operator, summaries, refined, active);
+        }
+        operator
+    }
+
     /// The half differences are single draws: their rms over nearby pixels is the error, to which that of the mean over
     /// the pixel's area is added.
-    pub(super) fn error_map(
+    fn error_map(
         &self,
         mut operator: Operator,
         summaries: &[Summary],
@@ -76,7 +92,7 @@ impl Job<'_> {
     }
 
     /// The same of the wall that is known least.
-    pub(super) fn ends_error_map(
+    fn ends_error_map(
         &self,
         operator: &Operator,
         summaries: &[Summary],

@@ -1,5 +1,6 @@
 //! The pixels of an image from the medium and its in-scattered light: one sight through each, more where the image bends.
 
+use super::behind::Behind;
 use super::ends;
 use super::errormap::{Summary, with_errors};
 use super::fine::Fine;
@@ -36,11 +37,13 @@ impl Job<'_> {
         candidates: &[u32],
         stats: &mut Stats,
     ) -> Operator {
+        let chamber = self.options.walls.apart();
+        let ends_seen = chamber.map_or_else(Vec::new, |c| self.frame.ends_seen(c, &plate_seen));
+        let behind = Behind { plate: plate_seen, ends: ends_seen };
         let field = Field {
             fine,
             plate: self.frame.plate,
-            // Images whose walls are told apart are not gathered here.
-            chamber: None,
+            chamber,
             light: lit.map(|lit| Light::new(fine, &lit.scattered, &lit.leaves)),
         };
         let sparse = self.frame.pixel_in_cells(&fine.bricks) <= PIXEL_MAX;
@@ -48,15 +51,19 @@ impl Job<'_> {
         let raster = self.frame.raster();
         let first: Vec<usize> =
             (0..candidates.len()).filter(|&i| !sparse || is_first(raster.at(candidates[i]))).collect();
-        let mut taken = Taken::new(fine.groups, fine.channels, candidates.len());
+        let mut taken = Taken::new(
+            [fine.groups, fine.channels],
+            self.width(fine.groups, fine.channels),
+            candidates.len(),
+        );
         let jobs: Vec<(usize, usize)> = first.iter().map(|&i| (i, 1)).collect();
-        self.take(&field, &plate_seen, candidates, &jobs, &mut taken);
+        self.take(&field, &behind, candidates, &jobs, &mut taken);
         // Where one sight does not give the mean; where it does not, none is needed.
-        let mut shown: Vec<[f32; ROWS]> = plate_seen.iter().map(|&seen| [seen, 0.0]).collect();
+        let mut shown: Vec<[f32; ROWS]> = behind.plate.iter().map(|&seen| [seen, 0.0]).collect();
         for &i in &first {
             shown[candidates[i] as usize] = taken.summaries[i].shown;
         }
-        let stencils = if sparse { self.stencils(candidates) } else { Vec::new() };
+        let stencils = if sparse { self.stencils(candidates, &behind) } else { Vec::new() };
         let rows = self.frame.camera.rows;
         let estimates = estimates([rows, columns], candidates, &stencils, &shown);
         for (&pixel, estimate) in candidates.iter().zip(&estimates) {
@@ -77,22 +84,21 @@ impl Job<'_> {
         let budget = share * narrow(self.options.target_error);
         let mut refined = Vec::new();
         if sparse {
-            refined =
-                self.frame.refinements(&shown, candidates, &plate_seen, &interpolated, &refined, budget);
+            refined = self.frame.refinements(&shown, candidates, &behind, &interpolated, &refined, budget);
             let jobs: Vec<(usize, usize)> = (0..candidates.len())
                 .filter(|&i| refined[i].n > 0 && taken.summaries[i].sights == 0)
                 .map(|i| (i, 1))
                 .collect();
-            self.take(&field, &plate_seen, candidates, &jobs, &mut taken);
+            self.take(&field, &behind, candidates, &jobs, &mut taken);
             for &(i, _) in &jobs {
                 shown[candidates[i] as usize] = taken.summaries[i].shown;
             }
         }
-        let refined = self.frame.refinements(&shown, candidates, &plate_seen, &[], &refined, budget);
+        let refined = self.frame.refinements(&shown, candidates, &behind, &[], &refined, budget);
         let jobs: Vec<(usize, usize)> =
             (0..candidates.len()).map(|i| (i, refined[i].n)).filter(|&(_, n)| n > 1).collect();
-        self.take(&field, &plate_seen, candidates, &jobs, &mut taken);
-        let left_out = taken.interpolate(&stencils, &refined, candidates, &plate_seen);
+        self.take(&field, &behind, candidates, &jobs, &mut taken);
+        let left_out = taken.interpolate(&stencils, &refined, candidates, &behind);
         let Taken { values, summaries, .. } = taken;
         let rms = |row: usize| {
             let square = |r: &Refinement| f64::from(r.error[row]).powi(2);
@@ -104,22 +110,30 @@ impl Job<'_> {
         tell(stats, "pixels_interpolated", real(left_out));
         tell(stats, "error_pixel", rms(0).max(rms(1)));
         let active: Vec<usize> = (0..candidates.len()).filter(|&i| summaries[i].met).collect();
-        let operator = self.assemble(fine, plate_seen, candidates, &values, &active);
-        self.error_map(operator, &summaries, &refined, &active, stats)
+        let operator = self.assemble(fine, behind, candidates, &values, &active);
+        self.with_errors(operator, &summaries, &refined, &active, stats)
     }
 
-    /// Where the pixels that are no samples are interpolated from.
-    fn stencils(&self, candidates: &[u32]) -> Vec<Option<Stencil>> {
+    /// Where the pixels that are no samples are interpolated from: never across an edge between walls.
+    fn stencils(&self, candidates: &[u32], behind: &Behind) -> Vec<Option<Stencil>> {
         let size = [self.frame.camera.rows, self.frame.camera.columns];
         let raster = self.frame.raster();
-        candidates.par_iter().with_min_len(1024).map(|&pixel| Stencil::new(raster, size, pixel)).collect()
+        let all = candidates.par_iter().with_min_len(1024);
+        if behind.ends.is_empty() {
+            return all.map(|&pixel| Stencil::new(raster, size, pixel)).collect();
+        }
+        all.map(|&pixel| {
+            Stencil::new(raster, size, pixel)
+                .filter(|stencil| stencil.terms().all(|(other, _)| behind.alike(pixel as usize, other)))
+        })
+        .collect()
     }
 
     /// Adds the sights of some candidates (their places, and how many per axis); values of an earlier pass give way.
     fn take<S: Spectrum>(
         &self,
         field: &Field<'_, S>,
-        plate_seen: &[f32],
+        behind: &Behind,
         candidates: &[u32],
         jobs: &[(usize, usize)],
         taken: &mut Taken,
@@ -135,7 +149,7 @@ impl Job<'_> {
             .zip(jobs.par_chunks(size))
             .flat_map_iter(|(values, jobs)| {
                 let pixels: Vec<(u32, usize)> = jobs.iter().map(|&(i, n)| (candidates[i], n)).collect();
-                let sights = self.sights(field, plate_seen, &pixels);
+                let sights = self.sights(field, behind, &pixels);
                 let finished = sights.iter().zip(values.chunks_exact_mut(width));
                 finished.map(|(s, v)| finish(s, groups, v)).collect::<Vec<_>>()
             })
@@ -156,20 +170,21 @@ impl Job<'_> {
     fn sights<S: Spectrum>(
         &self,
         field: &Field<'_, S>,
-        plate_seen: &[f32],
+        behind: &Behind,
         jobs: &[(u32, usize)],
     ) -> Vec<Sight<S>> {
-        if let Some(fine) = field.fine.single() {
+        if let (Some(fine), None) = (field.fine.single(), field.chamber) {
             let pieces = field.light.as_ref().and_then(|light| light.pieces.as_ref());
-            let sights = self.sights_together(fine, pieces, plate_seen, jobs);
+            let sights = self.sights_together(fine, pieces, behind, jobs);
             return sights.iter().map(Sight::widened).collect();
         }
-        let mut sights: Vec<Sight<S>> = jobs.iter().map(|_| Sight::new(field.fine.channels, false)).collect();
+        let mut sights: Vec<Sight<S>> =
+            jobs.iter().map(|_| Sight::new(field.fine.channels, field.chamber.is_some())).collect();
         vectorised(
             #[inline(always)]
             || {
                 for (sight, &(pixel, n)) in sights.iter_mut().zip(jobs) {
-                    let aims = self.aims(pixel, n, plate_seen);
+                    let aims = self.aims(pixel, n, behind);
                     let mut k = 0;
                     while k < n * n {
                         let (ray, share) = aims.at(k);
@@ -191,7 +206,7 @@ impl Job<'_> {
         &self,
         fine: &Fine<One>,
         pieces: Option<&Pieces>,
-        plate_seen: &[f32],
+        behind: &Behind,
         jobs: &[(u32, usize)],
     ) -> Vec<Sight<One>> {
         let mut sights: Vec<Sight<One>> = jobs.iter().map(|_| Sight::new(fine.channels, false)).collect();
@@ -211,7 +226,7 @@ impl Job<'_> {
                                 going = false;
                                 break;
                             };
-                            now = Some((job, self.aims(pixel, n, plate_seen), 0));
+                            now = Some((job, self.aims(pixel, n, behind), 0));
                             continue;
                         };
                         let (ray, share) = aims.at(*k);
@@ -235,9 +250,9 @@ impl Job<'_> {
 
     /// The sights through a pixel, `n` per axis.
     #[inline(always)]
-    fn aims(&self, pixel: u32, n: usize, plate_seen: &[f32]) -> Aims<'_> {
+    fn aims(&self, pixel: u32, n: usize, behind: &Behind) -> Aims<'_> {
         let [row, column] = self.frame.raster().at(pixel);
-        let shares = if n > 1 { self.shares(row, column, n, plate_seen[pixel as usize]) } else { None };
+        let shares = if n > 1 { self.shares(row, column, n, behind.plate[pixel as usize]) } else { None };
         Aims { frame: &self.frame, row, column, n, shares, errors: with_errors(row, column) }
     }
 
@@ -254,7 +269,7 @@ impl Job<'_> {
     pub(super) fn assemble<S: Spectrum>(
         &self,
         fine: &Fine<S>,
-        plate_seen: Vec<f32>,
+        behind: Behind,
         candidates: &[u32],
         values: &[f32],
         active: &[usize],
@@ -278,7 +293,8 @@ impl Job<'_> {
             columns: self.frame.camera.columns,
             groups,
             channels,
-            plate_seen,
+            plate_seen: behind.plate,
+            ends_seen: behind.ends,
             pixels: active.iter().map(|&i| candidates[i]).collect(),
             a_plate: part(0, groups),
             emission: part(groups, groups * (1 + channels)),
@@ -291,18 +307,19 @@ impl Job<'_> {
 
 /// What has been found of the candidates.
 struct Taken {
-    /// Coefficients, `[candidate · width]`: plate, emission, direct emission.
+    /// Coefficients, `[candidate · width]`: plate, emission, direct emission, from `ends` on those of the ends of rays.
     values: Vec<f32>,
     width: usize,
     groups: usize,
+    ends: usize,
     summaries: Vec<Summary>,
 }
 
 impl Taken {
-    fn new(groups: usize, channels: usize, candidates: usize) -> Self {
-        let width = groups * (1 + 2 * channels);
+    fn new([groups, channels]: [usize; 2], width: usize, candidates: usize) -> Self {
         let summaries = vec![Summary::default(); candidates];
-        Self { values: vec![0.0; candidates * width], width, groups, summaries }
+        let ends = groups * (1 + 2 * channels);
+        Self { values: vec![0.0; candidates * width], width, groups, ends, summaries }
     }
 
     /// Interpolates the candidates that got no sight; their number.
@@ -311,10 +328,10 @@ impl Taken {
         stencils: &[Option<Stencil>],
         refined: &[Refinement],
         candidates: &[u32],
-        plate_seen: &[f32],
+        behind: &Behind,
     ) -> usize {
-        let (groups, width) = (self.groups, self.width);
-        let mut place = vec![u32::MAX; plate_seen.len()];
+        let (groups, width, ends) = (self.groups, self.width, self.ends);
+        let mut place = vec![u32::MAX; behind.plate.len()];
         for (i, &pixel) in (0..).zip(candidates) {
             place[pixel as usize] = i;
         }
@@ -338,10 +355,12 @@ impl Taken {
                                 let from = &values[p * width..(p + 1) * width];
                                 sum.iter_mut().zip(from).for_each(|(s, v)| *s += v * weight);
                             }
-                            _ => sum[..groups].iter_mut().for_each(|s| *s += weight * plate_seen[pixel]),
+                            _ => behind.add_to(sum, groups, ends, pixel, weight),
                         }
                     }
                     bounded(sum, groups);
+                    let (before, sum) = sum.split_at_mut(ends);
+                    ends::close(sum, &before[..groups], &before[groups..2 * groups]);
                     which.push((i, met));
                 }
                 (which, found)

@@ -28,6 +28,9 @@ const SUBDIVISION_MAX: usize = 4;
 const SUBDIVIDED_DEPTH: f64 = 0.1;
 const SUBDIVIDED_CELLS_MAX: usize = 1 << 19;
 
+/// Cells times groups up to which they are cut once more where they turned out too coarse.
+const SUBDIVIDED_AGAIN_MAX: usize = 1 << 22;
+
 /// How an image is rendered.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RenderOptions {
@@ -143,18 +146,24 @@ impl Job<'_> {
         shots: &mut dyn Iterator<Item = Vec<f32>>,
         take: &mut dyn FnMut(Operator),
     ) -> Result<(), TracerError> {
-        let factor = self.subdivision();
-        let fine = Fine::<S>::new(self.medium, factor);
-        let mut stats = Stats::new();
         let plate_seen = self.frame.plate_seen();
-        let candidates = self.frame.candidates(&fine.bricks, &fine.occupied);
-        tell(&mut stats, "cells", real(self.medium.index.len()));
-        tell(&mut stats, "cells_occupied", real(self.medium.occupied()));
-        tell(&mut stats, "subdivision", real(factor));
-        tell(&mut stats, "bricks", real(fine.bricks.list.len()));
-        tell(&mut stats, "bricks_skipped", real(fine.bricks.list.len() - fine.occupied.len()));
-        (self.progress)(0.05);
-        let lit = self.lit(&fine, &candidates, &mut stats);
+        let mut factor = self.subdivision();
+        let (fine, candidates, lit, stats) = loop {
+            let mut stats = Stats::new();
+            let fine = Fine::<S>::new(self.medium, factor);
+            let candidates = self.frame.candidates(&fine.bricks, &fine.occupied);
+            tell(&mut stats, "cells", real(self.medium.index.len()));
+            tell(&mut stats, "cells_occupied", real(self.medium.occupied()));
+            tell(&mut stats, "subdivision", real(factor));
+            tell(&mut stats, "bricks", real(fine.bricks.list.len()));
+            tell(&mut stats, "bricks_skipped", real(fine.bricks.list.len() - fine.occupied.len()));
+            (self.progress)(0.05);
+            let lit = self.lit(&fine, &candidates, &mut stats);
+            if !(lit.as_ref().is_some_and(|lit| lit.coarse) && self.divides_again(factor)) {
+                break (fine, candidates, lit, stats);
+            }
+            factor *= 2;
+        };
         take(self.shown(&fine, lit.as_ref(), plate_seen.clone(), &candidates, stats));
         (self.progress)(1.0);
         for factors in shots {
@@ -174,8 +183,7 @@ impl Job<'_> {
         mut stats: Stats,
     ) -> Operator {
         let pixels = plate_seen.len();
-        // Walls that are told apart are found sight by sight.
-        let mut operator = if self.frame.spreads() || self.options.walls.apart().is_some() {
+        let mut operator = if self.frame.spreads() {
             self.gather_spread(fine, lit, plate_seen, candidates, &mut stats)
         } else {
             self.gather(fine, lit, plate_seen, candidates, &mut stats)
@@ -211,6 +219,15 @@ impl Job<'_> {
             factor *= 2;
         }
         factor
+    }
+}
+
+impl Job<'_> {
+    /// Whether cells that are too coarse for the light scattered in them may be cut once more.
+    fn divides_again(&self, factor: usize) -> bool {
+        let cells = self.medium.occupied().saturating_mul((2 * factor).pow(3));
+        2 * factor <= SUBDIVISION_MAX
+            && cells.saturating_mul(self.medium.groups.max(4) / 4) <= SUBDIVIDED_AGAIN_MAX
     }
 }
 

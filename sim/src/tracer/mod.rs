@@ -18,6 +18,7 @@ pub mod shape;
 pub mod uneven;
 
 mod begin;
+mod behind;
 mod blocks;
 mod blur;
 mod bricks;

@@ -1,5 +1,6 @@
 //! Which pixels can meet the medium, what each sees of the plate, and how finely each must be sampled.
 
+use super::behind::Behind;
 use super::bricks::{Bricks, EDGE};
 use super::camera::{Camera, PixelFilter, Sights};
 use super::plate::Plate;
@@ -175,7 +176,7 @@ impl Frame<'_> {
         &self,
         images: &[[f32; 2]],
         pixels: &[u32],
-        plate_seen: &[f32],
+        behind: &Behind,
         interpolated: &[Option<[f32; 2]>],
         settled: &[Refinement],
         budget: f32,
@@ -189,7 +190,6 @@ impl Frame<'_> {
             .enumerate()
             .with_min_len(1024)
             .map(|(i, &p)| {
-                let seen = plate_seen[p as usize];
                 let bent = |p: u32| self.second_difference(images, p, reach).map(|s| scale * s);
                 Known {
                     single: if centre { [0.0; 2] } else { bent(p) },
@@ -198,7 +198,7 @@ impl Frame<'_> {
                         .copied()
                         .flatten()
                         .filter(|e| e.iter().all(|v| v.is_finite())),
-                    on_edge: !centre && seen > 0.0 && seen < 1.0,
+                    on_edge: !centre && behind.on_edge(p as usize),
                     settled: settled.get(i).copied().filter(|s| s.n == 0),
                 }
             })

@@ -112,6 +112,11 @@ impl<'a> Places<'a> {
         let list = places(fine, pyramid, leaves, &owner);
         Self { leaves, owner, list, channels: fine.channels }
     }
+
+    /// Whether a leaf is a single cell, which cannot be cut.
+    pub(super) fn is_cell(&self, leaf: usize) -> bool {
+        self.list[leaf].edge == 1
+    }
 }
 
 /// The source function of every leaf from the cache's sums.

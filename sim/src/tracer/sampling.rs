@@ -5,7 +5,7 @@ use super::blocks::Blocks;
 use super::cache::{Cache, Leaves, Origin};
 use super::camera::PixelFilter;
 use super::cuts::{Limits, cut};
-use super::fine::{CELLS, Fine};
+use super::fine::Fine;
 use super::gather::{Field, Light, Sight};
 use super::image::{ALBEDO_SHARE, Job, Stats, tell};
 use super::paths::World;
@@ -68,6 +68,8 @@ const ROUGHEST: f64 = 4.0;
 pub(super) struct Lit<S> {
     pub(super) scattered: Scattered<S>,
     pub(super) leaves: Leaves,
+    /// Whether smaller cells are called for.
+    pub(super) coarse: bool,
 }
 
 impl Job<'_> {
@@ -119,12 +121,11 @@ impl Job<'_> {
             let world = World { blocks: &blocks, scatter: &scatter, plate: self.frame.plate, chamber };
             let origin = Origin { fine, leaves: &leaves, sights: self.frame.sights, seed: self.options.seed };
             let mut cache = Cache::<S>::new(count, fine.channels, chamber.is_some());
-            let mut wanted = (PILOT_DEVIATION / target).powi(2).clamp(PILOT_MIN, PILOT_MAX);
+            // Leaves with fewer than a path each tell nothing of their own error.
+            let seen = leaves.demand.iter().filter(|&&d| d > 0.0).count();
+            let mut wanted = (PILOT_DEVIATION / target).powi(2).clamp(PILOT_MIN, PILOT_MAX).max(real(seen));
             let mut round = 0;
-            // Whether other leaves are called for.
-            let last = finest(&leaves);
-            let coarse = |bias: f64, cuts: usize| bias > RECUT * target && cuts < CUTS_MAX && !last;
-            let (scattered, [noise, bias]) = loop {
+            let (scattered, [noise, bias], recut) = loop {
                 let left = real_wide(self.options.paths_max.saturating_sub(cache.samples));
                 let done = 0.05 + 0.2 * real(rounds.min(4));
                 let told = |p: f64| (self.progress)(done + 0.15 * p);
@@ -133,22 +134,29 @@ impl Job<'_> {
                 round += 1;
                 let scattered = reconstruct(&places, &cache);
                 let errors = self.probe(fine, &scattered, &leaves, &views, candidates);
-                // What is left for noise beside the reconstruction, half of the target at least.
-                let room = (target * target - errors[1] * errors[1]).max(target * target / 4.0).sqrt();
+                // What is left for noise beside the reconstruction: at least half of the target, and half of the other
+                // error where no leaves are small enough, since less would hardly change the sum.
+                let [whole, other] = [target * target, errors[1] * errors[1]];
+                let room = (whole - other).max(whole / 4.0).max(other / 4.0).sqrt();
                 let ratio = errors[0] / room;
+                let last = round == ROUNDS_MAX || cache.samples >= self.options.paths_max;
                 // Noise makes leaves mix, which adds to their own error: that is known when the noise is lower.
-                let recut = errors[0] <= target.max(0.5 * errors[1]) && coarse(errors[1], cuts + 1);
-                if ratio <= 1.0 || recut || round == ROUNDS_MAX || cache.samples >= self.options.paths_max {
-                    break (scattered, errors);
+                let recut = errors[1] > RECUT * target
+                    && (last || errors[0] <= target.max(0.5 * errors[1]))
+                    && cuts + 1 < CUTS_MAX
+                    && cache.samples < self.options.paths_max
+                    && cuttable(&views, &scattered, &places, fine.groups);
+                if ratio <= 1.0 || recut || last {
+                    break (scattered, errors, recut);
                 }
                 wanted = real_wide(cache.samples) * (1.1 * ratio * ratio - 1.0).min(GROWTH_MAX);
             };
             cuts += 1;
-            if !coarse(bias, cuts) || cache.samples >= self.options.paths_max {
+            if !recut {
                 for (name, value) in [
                     ("leaves", real(count)),
-                    ("leaves_seen", real(leaves.demand.iter().filter(|&&d| d > 0.0).count())),
-                    ("leaves_skipped", real(leaves.demand.iter().filter(|&&d| d <= 0.0).count())),
+                    ("leaves_seen", real(seen)),
+                    ("leaves_skipped", real(count - seen)),
                     ("blocks", real(blocks.core.len())),
                     ("paths", real_wide(cache.samples)),
                     ("scatterings", real_wide(cache.scatterings)),
@@ -160,7 +168,8 @@ impl Job<'_> {
                 ] {
                     tell(stats, name, value);
                 }
-                return Lit { scattered, leaves };
+                let coarse = bias > RECUT * target && cache.samples < self.options.paths_max;
+                return Lit { scattered, leaves, coarse };
             }
             scale *= (0.6 * target / bias).powf(0.75).clamp(0.2, 0.7);
         }
@@ -213,7 +222,7 @@ impl Job<'_> {
         views: &Views<S>,
         candidates: &[u32],
     ) -> [f64; 2] {
-        let [noise, bias] = views.errors(&scattered.leaves, fine.groups);
+        let [noise, bias] = views.errors(&scattered.leaves, fine.groups, |_| true);
         let pure = [0, 1].map(|row: usize| f64::from(pure_bias(narrow(noise[row]), narrow(bias[row]))));
         let [ends_noise, ends_bias] = self.probe_ends(fine, scattered, leaves, candidates);
         [noise[0].max(noise[1]).max(ends_noise).sqrt(), pure[0].max(pure[1]).max(ends_bias).sqrt()]
@@ -258,9 +267,16 @@ impl Job<'_> {
     }
 }
 
-/// Whether no leaf can be cut further.
-fn finest(leaves: &Leaves) -> bool {
-    leaves.occupied.len() * CELLS == leaves.demand.len()
+/// Whether smaller leaves would help: those that can still be cut make half of the reconstruction's error.
+fn cuttable<S: Spectrum>(
+    views: &Views<S>,
+    scattered: &Scattered<S>,
+    places: &Places<'_>,
+    groups: usize,
+) -> bool {
+    let [_, all] = views.errors(&scattered.leaves, groups, |_| true);
+    let [_, some] = views.errors(&scattered.leaves, groups, |leaf| !places.is_cell(leaf));
+    some[0].max(some[1]) > 0.25 * all[0].max(all[1])
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]

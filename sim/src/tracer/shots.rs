@@ -54,7 +54,8 @@ pub(super) fn denser<S: Spectrum>(
         .collect();
     let lit = lit.map(|lit| {
         let around = around(fine, &core);
-        Lit { scattered: dimmed(&lit.scattered, &lit.leaves, &around), leaves: lit.leaves.clone() }
+        let scattered = dimmed(&lit.scattered, &lit.leaves, &around);
+        Lit { scattered, leaves: lit.leaves.clone(), coarse: lit.coarse }
     });
     Ok((Fine { core, ..fine.clone() }, lit))
 }

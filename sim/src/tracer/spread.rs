@@ -6,6 +6,7 @@
 //! scrambles of their own: half their difference is the error of the mean, pooled over neighbouring pixels, and pixels
 //! above the target get twice as many.
 
+use super::behind::Behind;
 use super::camera::PixelFilter;
 use super::chamber::ENDS;
 use super::ends;
@@ -153,13 +154,9 @@ impl Job<'_> {
         };
         tell(stats, "error_pixel", rms(0).max(rms(1)));
         let active: Vec<usize> = (0..candidates.len()).filter(|&i| summaries[i].met).collect();
-        let operator = self.assemble(fine, plate_seen, candidates, &values, &active);
-        let mut operator = self.error_map(operator, &summaries, &refined, &active, stats);
-        if chamber.is_some() {
-            operator.ends_seen = ends_seen;
-            operator.error_ends = self.ends_error_map(&operator, &summaries, &refined, &active);
-        }
-        operator
+        let behind = Behind { plate: plate_seen, ends: ends_seen };
+        let operator = self.assemble(fine, behind, candidates, &values, &active);
+        self.with_errors(operator, &summaries, &refined, &active, stats)
     }
 
     /// Some pairs of sub-sights of some pixels: coefficients into `values`, the means of both halves.

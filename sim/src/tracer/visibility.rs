@@ -35,11 +35,19 @@ pub(super) struct Views<S> {
 }
 
 impl<S: Spectrum> Views<S> {
-    /// What a sight sees of noise and bias.
+    /// What a sight sees of noise and bias in some leaves.
     #[inline(always)]
-    fn sums(&self, seen: std::ops::Range<usize>, lit: &[InLeaf<S>]) -> [[S; ROWS]; 2] {
+    fn sums(
+        &self,
+        seen: std::ops::Range<usize>,
+        lit: &[InLeaf<S>],
+        some: impl Fn(usize) -> bool,
+    ) -> [[S; ROWS]; 2] {
         let mut sums = [[S::ZERO; ROWS]; 2];
         for (&leaf, &weight) in self.leaves[seen.clone()].iter().zip(&self.weights[seen]) {
+            if !some(leaf as usize) {
+                continue;
+            }
             let leaf = &lit[leaf as usize];
             for (sums, of) in sums.iter_mut().zip([&leaf.noise, &leaf.bias]) {
                 for row in 0..ROWS {
@@ -50,8 +58,13 @@ impl<S: Spectrum> Views<S> {
         sums
     }
 
-    /// Mean squares over the sights of noise and bias of plate and medium, the mean over `groups` of each.
-    pub(super) fn errors(&self, lit: &[InLeaf<S>], groups: usize) -> [[f64; ROWS]; 2] {
+    /// Mean squares over the sights of noise and bias of plate and medium in some leaves, the mean over `groups` of each.
+    pub(super) fn errors(
+        &self,
+        lit: &[InLeaf<S>],
+        groups: usize,
+        some: impl Fn(usize) -> bool + Sync,
+    ) -> [[f64; ROWS]; 2] {
         let sights = self.starts.len().saturating_sub(1);
         let squares: Vec<[[f32; ROWS]; 2]> = (0..sights)
             .into_par_iter()
@@ -60,7 +73,7 @@ impl<S: Spectrum> Views<S> {
                 let seen = self.starts[i] as usize..self.starts[i + 1] as usize;
                 vectorised(
                     #[inline(always)]
-                    || self.sums(seen, lit).map(|rows| rows.map(|row| row.times(row).sum())),
+                    || self.sums(seen, lit, &some).map(|rows| rows.map(|row| row.times(row).sum())),
                 )
             })
             .collect();
