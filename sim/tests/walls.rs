@@ -171,6 +171,54 @@ fn walls_sum_to_what_closure_leaves_in_every_way_of_tracing() {
     }
 }
 
+/// Pixels far smaller than cells: most are interpolated, but none across the edge between two walls, which stands behind
+/// the middle of the ball.
+#[test]
+fn walls_behind_a_medium_are_interpolated_up_to_their_edges() {
+    let medium = medium(1, 0.5, 0.7);
+    let camera = Camera {
+        projection: Projection::Pinhole { horizontal_fov_deg: 13.0 },
+        position_m: [0.3, -0.4, 0.03],
+        look_at_m: [0.0; 3],
+        columns: 160,
+        rows: 128,
+        ..camera(PixelFilter::Box)
+    };
+    let options =
+        RenderOptions { target_error: 2e-3, walls: Walls::Apart(chamber()), ..RenderOptions::default() };
+    let operator = render_image(&medium, &camera, Some(&plate()), &options, &|_| {}).unwrap();
+    let stat = |name: &str| operator.stats.iter().find(|s| s.0 == name).map_or(0.0, |s| s.1);
+    assert!(stat("pixels_interpolated") > 0.3 * operator.pixels.len() as f64);
+    assert!(stat("sights") < operator.pixels.len() as f64, "{}", stat("sights"));
+    let seen = |p: u32| &operator.ends_seen[p as usize * ENDS..][..ENDS];
+    let alike = |a: u32, b: u32| seen(a).iter().zip(seen(b)).all(|(a, b)| (*a > 0.0) == (*b > 0.0));
+    let near_edge = |p: u32| (1..4).any(|step| !alike(p, p - step) || !alike(p, p + step));
+    let (beside, apart): (Vec<u32>, Vec<u32>) = operator.pixels.iter().copied().partition(|&p| near_edge(p));
+    assert!(beside.len() > 300 && apart.len() > 3000, "{} {}", beside.len(), apart.len());
+    for (pixels, edges) in [(beside, true), (apart, false)] {
+        let chosen: Vec<u32> = pixels.iter().copied().step_by(pixels.len() / 60).collect();
+        let reference =
+            render_reference(&medium, &camera, Some(&plate()), &options, Some(&chosen), &|_| {}).unwrap();
+        let (mut difference, mut declared, mut largest) = (0.0, 0.0, 0.0_f64);
+        for (j, pixel) in reference.pixels.iter().enumerate() {
+            let i = operator.pixels.binary_search(pixel).unwrap();
+            for end in 0..SIDES {
+                let d = f64::from(operator.a_ends[i * ENDS + end] - reference.a_ends[j * ENDS + end]);
+                difference += d * d;
+                largest = largest.max(d.abs());
+                let [a, b] = [operator.error_ends[i], reference.error_ends[j]].map(f64::from);
+                declared += a * a + b * b;
+            }
+        }
+        // Where an edge crosses the pixel itself, eight sights along an axis find its share to a sixteenth at worst.
+        let slack = if edges { 0.02 } else { 0.0 };
+        let count = (SIDES * reference.pixels.len()) as f64;
+        let (difference, declared) = ((difference / count).sqrt(), (declared / count).sqrt());
+        assert!(difference < 1.5 * declared + slack, "{edges}: {difference:.1e} {declared:.1e}");
+        assert!(largest < 6.0 * declared + 5.0 * slack, "{edges}: {largest:.1e} {declared:.1e}");
+    }
+}
+
 /// Image mode against single rays, pixel centres, over the walls: rms of the difference and of both declared errors.
 fn compare(albedo: f64, depth: f64) -> (f64, f64) {
     let medium = medium(1, albedo, depth);

@@ -1,7 +1,10 @@
 //! What the pixels see behind the medium, were it not there.
 
 use super::chamber::ENDS;
-use super::ends::mixed;
+use super::ends::{EDGE_SIGHTS, mixed};
+
+/// Fewest sights per axis where the plate's edge crosses a pixel.
+const EDGE_SIGHTS_MIN: usize = 4;
 
 /// Shares of the pixels' areas.
 pub(super) struct Behind {
@@ -16,10 +19,17 @@ impl Behind {
         self.ends.get(pixel * ENDS..(pixel + 1) * ENDS).unwrap_or_default()
     }
 
-    /// Whether an edge of the plate or between walls crosses a pixel.
-    pub(super) fn on_edge(&self, pixel: usize) -> bool {
+    /// Fewest sights per axis of a pixel: more than one where an edge of the plate crosses it, as many as its shares were
+    /// found with where one between walls does.
+    pub(super) fn sights_min(&self, pixel: usize) -> usize {
         let plate = self.plate[pixel];
-        (plate > 0.0 && plate < 1.0) || mixed(self.ends(pixel))
+        if mixed(self.ends(pixel)) {
+            EDGE_SIGHTS
+        } else if plate > 0.0 && plate < 1.0 {
+            EDGE_SIGHTS_MIN
+        } else {
+            1
+        }
     }
 
     /// Whether two pixels see the same wall, or none, so that no edge between walls lies between them.

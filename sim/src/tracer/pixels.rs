@@ -12,9 +12,6 @@ use rayon::prelude::*;
 /// Sub-sights per axis in pixels that the plate's edge crosses.
 const EDGE_SIGHTS: usize = 8;
 
-/// Fewest where what is behind changes across the pixel.
-const EDGE_SIGHTS_MIN: usize = 4;
-
 /// Steps by √½ in the search for the error at which pixels are refined.
 const HALVINGS_MAX: usize = 48;
 
@@ -198,7 +195,7 @@ impl Frame<'_> {
                         .copied()
                         .flatten()
                         .filter(|e| e.iter().all(|v| v.is_finite())),
-                    on_edge: !centre && behind.on_edge(p as usize),
+                    least: if centre { 1 } else { behind.sights_min(p as usize) },
                     settled: settled.get(i).copied().filter(|s| s.n == 0),
                 }
             })
@@ -234,8 +231,8 @@ struct Known {
     single: [f32; 2],
     /// Their errors without any, where it has none.
     interpolated: Option<[f32; 2]>,
-    /// Whether what is behind changes across it.
-    on_edge: bool,
+    /// Fewest sights per axis, above 1 where what is behind changes across it.
+    least: usize,
     /// Whether it stays without.
     settled: Option<Refinement>,
 }
@@ -252,8 +249,8 @@ impl Known {
             let wanted = (error / unit).powf(0.4);
             n = (1..SIGHTS_MAX).find(|&n| wanted <= narrow(real(n)) + 0.5).unwrap_or(SIGHTS_MAX);
         }
-        if self.on_edge {
-            n = n.max(EDGE_SIGHTS_MIN);
+        if self.least > 1 {
+            n = n.max(self.least);
         } else if let Some(interpolated) = self.interpolated {
             let (without, with) = (interpolated[0].max(interpolated[1]), error / power(n));
             if without * without <= with * with + 1.5 * unit * unit * narrow(real(n * n)) {
