@@ -180,6 +180,8 @@ fn walls_behind_a_medium_are_interpolated_up_to_their_edges() {
         projection: Projection::Pinhole { horizontal_fov_deg: 13.0 },
         position_m: [0.3, -0.4, 0.03],
         look_at_m: [0.0; 3],
+        // Askew, so that the edge crosses rows and columns in every way.
+        up: [0.15, 0.1, 1.0],
         columns: 160,
         rows: 128,
         ..camera(PixelFilter::Box)
