@@ -1,6 +1,7 @@
 //! Pixels that need no sight of their own: where cells are wide against pixels, three pixels in four can be interpolated
 //! from those of even rows and columns, as far as the image is smooth there.
 
+use super::lanes::larger;
 use super::raster::Raster;
 use super::reconstruct::ROWS;
 use super::spectrum::narrow;
@@ -231,11 +232,6 @@ impl Line {
         }
         line
     }
-}
-
-#[inline(always)]
-fn larger(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]

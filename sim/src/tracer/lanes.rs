@@ -24,13 +24,13 @@ pub(super) fn whole(x: f32) -> i32 {
     (larger(x, 0.0) - 0.5 + 12_582_912.0).to_bits() as i32 - 0x4b40_0000
 }
 
-/// One instruction, unlike [`f32::min`], which looks for NaN.
+/// As [`larger`].
 #[inline(always)]
 pub(super) fn smaller(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// One instruction, unlike [`f32::max`].
+/// One instruction, unlike [`f32::max`], which looks for NaN.
 #[inline(always)]
 pub(super) fn larger(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }

@@ -6,6 +6,8 @@
 
 #![expect(clippy::needless_range_loop, reason = "loops over lanes step through several arrays at once")]
 
+use super::lanes::larger;
+
 /// Values of all spectral groups. Lanes beyond the last group hold zeros and are never read.
 pub(super) trait Spectrum: Copy + Send + Sync + 'static {
     /// Most groups that it holds.
@@ -342,12 +344,6 @@ fn splits<const N: usize>(tau: [f32; N]) -> ([f32; N], [f32; N]) {
         |i| if tau[i] < 87.0 { (-scale[i]).mul_add(q[i], 1.0 - scale[i]) } else { 1.0 },
     );
     (through, stopped)
-}
-
-/// One instruction, unlike [`f32::max`], which looks for NaN.
-#[inline(always)]
-fn larger(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
 }
 
 #[inline(always)]
