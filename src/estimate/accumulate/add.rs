@@ -67,7 +67,7 @@ pub(super) fn apply<W: Width>(planes: &mut Planes<W>, cycles: &[Cycle<'_>], sett
 /// Sums of a part of the image.
 struct Target<'a, W: Width> {
     sum: &'a mut [W::Sum],
-    squares: &'a mut [u64],
+    squares: &'a mut [W::Squares],
     blanks: &'a mut [W::Blanks],
     count: &'a mut [W::Count],
 }
@@ -272,7 +272,7 @@ impl<W: Width> Target<'_, W> {
         let squares = &mut self.squares[..n];
         for i in 0..n {
             let size = u64::from(y[i].unsigned_abs());
-            squares[i] = put::<HOW>(squares[i], size.wrapping_mul(size));
+            squares[i] = W::squares::<HOW>(squares[i], size.wrapping_mul(size));
         }
         let blanks = &mut self.blanks[..n];
         for i in 0..n {
@@ -284,7 +284,7 @@ impl<W: Width> Target<'_, W> {
     #[inline(always)]
     fn put_squares<const HOW: i32>(&mut self, more: &[u32]) {
         for (squares, &more) in self.squares.iter_mut().zip(more) {
-            *squares = put::<HOW>(*squares, u64::from(more));
+            *squares = W::squares::<HOW>(*squares, u64::from(more));
         }
     }
 
@@ -293,14 +293,5 @@ impl<W: Width> Target<'_, W> {
         for (count, &valid) in self.count.iter_mut().zip(valid) {
             *count = W::count::<HOW>(*count, valid);
         }
-    }
-}
-
-#[inline(always)]
-fn put<const HOW: i32>(before: u64, more: u64) -> u64 {
-    match HOW {
-        PUT => more,
-        ADD => before.wrapping_add(more),
-        _ => before.wrapping_sub(more),
     }
 }

@@ -7,12 +7,14 @@
 
 mod add;
 mod error;
+mod moments;
 mod planes;
 
 use add::How;
 pub use error::AccumulateError;
-use planes::Cell;
-pub(super) use planes::{Cells, Narrow, Planes, Wide, Width};
+pub use moments::{mean, variance};
+use planes::{Cell, Samples};
+pub(super) use planes::{Cells, Planes, Width};
 
 /// Largest number of blanks in a cycle: |Y| ≤ 256 · 65535 < 2²⁴ then, so that Y fits i32 and Y² fits 48 bit.
 pub const BLANKS_MAX: u16 = 256;
@@ -28,8 +30,8 @@ pub struct LevelSums {
 }
 
 impl LevelSums {
-    fn new(pixels: usize) -> Self {
-        Self { cycles: 0, cells: Cells::new(pixels), outliers: Vec::new() }
+    fn new(pixels: usize, samples: Samples) -> Self {
+        Self { cycles: 0, cells: Cells::new(pixels, samples), outliers: Vec::new() }
     }
 
     /// Cycles added, valid or not.
@@ -81,9 +83,9 @@ impl LevelSums {
         self.cycles - self.count(pixel) - self.outliers(pixel)
     }
 
-    /// Makes the sums wide where so many cycles might not fit narrow ones.
-    fn make_room(&mut self, cycles: u32, blanks_per_cycle: u16) {
-        if cycles > planes::narrow_max(blanks_per_cycle) {
+    /// Makes the sums wider where so many cycles might not fit.
+    fn make_room(&mut self, cycles: u32, samples: Samples) {
+        while cycles > self.cells.cycles_max(samples) {
             self.cells.widen();
         }
     }
@@ -134,12 +136,13 @@ impl Sums {
             return Err(AccumulateError::BlanksPerCycle { blanks: blanks_per_cycle });
         }
         let pixels = rows * columns;
+        let samples = Samples { blanks: blanks_per_cycle, saturation: saturation_count };
         Ok(Self {
             rows,
             columns,
             blanks_per_cycle,
             saturation_count,
-            levels: (0..levels).map(|_| LevelSums::new(pixels)).collect(),
+            levels: (0..levels).map(|_| LevelSums::new(pixels, samples)).collect(),
         })
     }
 
@@ -273,13 +276,14 @@ impl Sums {
                 return Err(AccumulateError::Full { level, cycles: to.cycles });
             }
         }
+        let samples = self.samples();
         for (to, from) in self.levels.iter_mut().zip(&other.levels) {
             let Some(cells) = from.cells() else { continue };
             let cycles = to.cycles + from.cycles;
             if to.cycles == 0 {
                 to.cells.clone_from(cells);
             } else {
-                to.make_room(cycles, self.blanks_per_cycle);
+                to.make_room(cycles, samples);
                 to.cells.merge(cells);
             }
             to.cycles = cycles;
@@ -308,6 +312,10 @@ impl Sums {
         }
     }
 
+    fn samples(&self) -> Samples {
+        Samples { blanks: self.blanks_per_cycle, saturation: self.saturation_count }
+    }
+
     fn like(&self, other: &Self) -> bool {
         self.rows == other.rows
             && self.columns == other.columns
@@ -317,9 +325,9 @@ impl Sums {
     }
 
     fn add(&mut self, level: usize, sum: u32, cycles: &[Cycle<'_>]) {
-        let blanks = self.blanks_per_cycle;
+        let samples = self.samples();
         let to = &mut self.levels[level];
-        to.make_room(sum, blanks);
+        to.make_room(sum, samples);
         let how = if to.cycles == 0 { How::Put } else { How::Add };
         to.cycles = sum;
         self.apply(level, cycles, how);
@@ -328,6 +336,7 @@ impl Sums {
     fn apply(&mut self, level: usize, cycles: &[Cycle<'_>], how: How) {
         let settings = add::Settings { saturation: self.saturation_count, how };
         match &mut self.levels[level].cells {
+            Cells::Short(planes) => add::apply(planes, cycles, settings),
             Cells::Narrow(planes) => add::apply(planes, cycles, settings),
             Cells::Wide(planes) => add::apply(planes, cycles, settings),
         }
@@ -341,32 +350,6 @@ pub struct Cycle<'a> {
     pub blanks: &'a [&'a [u16]],
     /// The spray frame.
     pub spray: &'a [u16],
-}
-
-/// Mean, in counts, of `count` cycles of `blanks` blanks each. NaN for no cycle.
-pub fn mean(sum: i64, count: u32, blanks: u16) -> f64 {
-    // Below 2⁴⁸ (see `Sums`): the conversion is exact.
-    #[expect(clippy::cast_precision_loss, reason = "sums stay below 2^48")]
-    let sum = sum as f64;
-    sum / (f64::from(count) * f64::from(blanks))
-}
-
-/// Sample variance (n − 1) in counts², from exact sums. NaN below two cycles, never negative.
-pub fn variance(sum: i64, sum_squares: u64, count: u32, blanks: u16) -> f64 {
-    if count < 2 {
-        return f64::NAN;
-    }
-    // nΣY² − (ΣY)² is an exact integer below 2⁹⁶: no cancellation, whatever the mean. One rounding, so both ways
-    // give the same bits; the short one serves all but the longest campaigns.
-    let short = sum_squares.leading_zeros() + count.leading_zeros() >= 33 && sum.unsigned_abs() < 1 << 31;
-    #[expect(clippy::cast_precision_loss, reason = "one rounding of the exact result")]
-    let spread = if short {
-        (u64::from(count) * sum_squares - sum.unsigned_abs() * sum.unsigned_abs()) as f64
-    } else {
-        (i128::from(count) * i128::from(sum_squares) - i128::from(sum) * i128::from(sum)) as f64
-    };
-    let b = f64::from(blanks);
-    spread / (f64::from(count) * f64::from(count - 1) * (b * b))
 }
 
 #[cfg(test)]

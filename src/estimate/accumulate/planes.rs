@@ -1,6 +1,8 @@
-//! The sums of one level in memory: 18 bytes a pixel while they fit, 28 after.
+//! The sums of one level in memory: 14 bytes a pixel while they fit, then 18, then 28.
 //!
 //! How wide the numbers are shows nowhere else: they are read as the widest.
+
+use std::ops::AddAssign;
 
 /// In place of the sum of before.
 pub(super) const PUT: i32 = 0;
@@ -9,24 +11,32 @@ pub(super) const ADD: i32 = 1;
 /// Subtracted from it.
 pub(super) const REMOVE: i32 = -1;
 
-/// Widths of the sums of a pixel. ΣY² takes 64 bit in any case.
+/// Widths of the sums of a pixel.
 ///
-/// Operations wrap, because checked ones stop the vectoriser; `Sums::cycles_max` and [`narrow_max`] are the proof that
-/// none does.
+/// Operations wrap, because checked ones stop the vectoriser; `Sums::cycles_max` and [`Cells::cycles_max`] are the proof
+/// that none does.
 pub(in crate::estimate) trait Width {
     /// ΣY.
-    type Sum: Copy + Default + Send + Into<i64>;
+    type Sum: Copy + Default + Send + AddAssign + Into<i64>;
+    /// ΣY².
+    type Squares: Copy + Default + Send + AddAssign + Into<u64>;
     /// Σ blanks.
-    type Blanks: Copy + Default + Send + Into<u64>;
+    type Blanks: Copy + Default + Send + AddAssign + Into<u64>;
     /// Cycles that count.
-    type Count: Copy + Default + Send + PartialEq + Into<u32>;
+    type Count: Copy + Default + Send + AddAssign + PartialEq + Into<u32>;
     /// Puts, adds or subtracts, by `HOW`.
     fn sum<const HOW: i32>(before: Self::Sum, more: i32) -> Self::Sum;
+    /// The same; `more` fits.
+    fn squares<const HOW: i32>(before: Self::Squares, more: u64) -> Self::Squares;
     /// The same.
     fn blanks<const HOW: i32>(before: Self::Blanks, more: u32) -> Self::Blanks;
     /// The same.
     fn count<const HOW: i32>(before: Self::Count, more: u16) -> Self::Count;
 }
+
+/// 14 bytes a pixel.
+#[derive(Debug, Clone)]
+pub(in crate::estimate) struct Short;
 
 /// 18 bytes a pixel.
 #[derive(Debug, Clone)]
@@ -36,77 +46,51 @@ pub(in crate::estimate) struct Narrow;
 #[derive(Debug, Clone)]
 pub(in crate::estimate) struct Wide;
 
-/// Most cycles of so many blanks whose sums are narrow: |ΣY| and Σ blanks below 2³¹, and no more than count in 16 bit.
-pub(super) fn narrow_max(blanks_per_cycle: u16) -> u32 {
-    let largest = u32::from(blanks_per_cycle) * u32::from(u16::MAX);
-    (i32::MAX.unsigned_abs() / largest).min(u32::from(u16::MAX))
+macro_rules! put {
+    ($how:ident, $before:ident, $more:expr) => {
+        match $how {
+            PUT => $more,
+            ADD => $before.wrapping_add($more),
+            _ => $before.wrapping_sub($more),
+        }
+    };
 }
 
-impl Width for Narrow {
-    type Sum = i32;
-    type Blanks = u32;
-    type Count = u16;
+macro_rules! width {
+    ($width:ident, $sum:ty, $squares:ty, $blanks:ty, $count:ty) => {
+        impl Width for $width {
+            type Sum = $sum;
+            type Squares = $squares;
+            type Blanks = $blanks;
+            type Count = $count;
 
-    #[inline(always)]
-    fn sum<const HOW: i32>(before: i32, more: i32) -> i32 {
-        match HOW {
-            PUT => more,
-            ADD => before.wrapping_add(more),
-            _ => before.wrapping_sub(more),
-        }
-    }
+            #[inline(always)]
+            fn sum<const HOW: i32>(before: $sum, more: i32) -> $sum {
+                put!(HOW, before, <$sum>::from(more))
+            }
 
-    #[inline(always)]
-    fn blanks<const HOW: i32>(before: u32, more: u32) -> u32 {
-        match HOW {
-            PUT => more,
-            ADD => before.wrapping_add(more),
-            _ => before.wrapping_sub(more),
-        }
-    }
+            #[allow(clippy::cast_possible_truncation, reason = "what is added fits, by the number of cycles")]
+            #[inline(always)]
+            fn squares<const HOW: i32>(before: $squares, more: u64) -> $squares {
+                put!(HOW, before, more as $squares)
+            }
 
-    #[inline(always)]
-    fn count<const HOW: i32>(before: u16, more: u16) -> u16 {
-        match HOW {
-            PUT => more,
-            ADD => before.wrapping_add(more),
-            _ => before.wrapping_sub(more),
+            #[inline(always)]
+            fn blanks<const HOW: i32>(before: $blanks, more: u32) -> $blanks {
+                put!(HOW, before, <$blanks>::from(more))
+            }
+
+            #[inline(always)]
+            fn count<const HOW: i32>(before: $count, more: u16) -> $count {
+                put!(HOW, before, <$count>::from(more))
+            }
         }
-    }
+    };
 }
 
-impl Width for Wide {
-    type Sum = i64;
-    type Blanks = u64;
-    type Count = u32;
-
-    #[inline(always)]
-    fn sum<const HOW: i32>(before: i64, more: i32) -> i64 {
-        match HOW {
-            PUT => i64::from(more),
-            ADD => before.wrapping_add(i64::from(more)),
-            _ => before.wrapping_sub(i64::from(more)),
-        }
-    }
-
-    #[inline(always)]
-    fn blanks<const HOW: i32>(before: u64, more: u32) -> u64 {
-        match HOW {
-            PUT => u64::from(more),
-            ADD => before.wrapping_add(u64::from(more)),
-            _ => before.wrapping_sub(u64::from(more)),
-        }
-    }
-
-    #[inline(always)]
-    fn count<const HOW: i32>(before: u32, more: u16) -> u32 {
-        match HOW {
-            PUT => u32::from(more),
-            ADD => before.wrapping_add(u32::from(more)),
-            _ => before.wrapping_sub(u32::from(more)),
-        }
-    }
-}
+width!(Short, i32, u32, u32, u16);
+width!(Narrow, i32, u64, u32, u16);
+width!(Wide, i64, u64, u64, u32);
 
 /// Sums of all pixels, each `[rows · columns]` in row order.
 #[derive(Debug, Clone)]
@@ -114,7 +98,7 @@ pub(in crate::estimate) struct Planes<W: Width> {
     /// ΣY.
     pub(in crate::estimate) sum: Vec<W::Sum>,
     /// ΣY².
-    pub(in crate::estimate) squares: Vec<u64>,
+    pub(in crate::estimate) squares: Vec<W::Squares>,
     /// Σ blanks.
     pub(in crate::estimate) blanks: Vec<W::Blanks>,
     /// Cycles that count.
@@ -125,7 +109,7 @@ impl<W: Width> Planes<W> {
     fn new(pixels: usize) -> Self {
         Self {
             sum: vec![W::Sum::default(); pixels],
-            squares: vec![0; pixels],
+            squares: vec![W::Squares::default(); pixels],
             blanks: vec![W::Blanks::default(); pixels],
             count: vec![W::Count::default(); pixels],
         }
@@ -135,6 +119,8 @@ impl<W: Width> Planes<W> {
 /// Sums of all pixels in one of the widths.
 #[derive(Debug, Clone)]
 pub(in crate::estimate) enum Cells {
+    /// See [`Short`].
+    Short(Planes<Short>),
     /// See [`Narrow`].
     Narrow(Planes<Narrow>),
     /// See [`Wide`].
@@ -150,78 +136,132 @@ pub(super) struct Cell {
     pub(super) count: u32,
 }
 
+/// Samples of a cycle: so many blanks, all that count below a saturation count.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Samples {
+    pub(super) blanks: u16,
+    pub(super) saturation: u16,
+}
+
+impl Samples {
+    /// Largest |Y| that can count.
+    fn largest(self) -> u64 {
+        u64::from(self.blanks) * u64::from(self.saturation.saturating_sub(1))
+    }
+
+    /// Most cycles whose ΣY² fits 32 bit (16 of 14 bit and one blank), and everything else as below.
+    pub(super) fn short_max(self) -> u32 {
+        let squares = u64::from(u32::MAX).checked_div(self.largest().pow(2));
+        squares.and_then(|cycles| u32::try_from(cycles).ok()).unwrap_or(u32::MAX).min(self.narrow_max())
+    }
+
+    /// Most cycles for which |ΣY| and Σ blanks are below 2³¹, and that count in 16 bit.
+    pub(super) fn narrow_max(self) -> u32 {
+        let largest = u32::from(self.blanks) * u32::from(u16::MAX);
+        (i32::MAX.unsigned_abs() / largest).min(u32::from(u16::MAX))
+    }
+}
+
 impl Cells {
-    pub(super) fn new(pixels: usize) -> Self {
-        Self::Narrow(Planes::new(pixels))
+    /// Empty sums as narrow as a cycle allows.
+    pub(super) fn new(pixels: usize, samples: Samples) -> Self {
+        if samples.short_max() > 0 {
+            Self::Short(Planes::new(pixels))
+        } else {
+            Self::Narrow(Planes::new(pixels))
+        }
+    }
+
+    /// Most cycles that these widths hold.
+    pub(super) fn cycles_max(&self, samples: Samples) -> u32 {
+        match self {
+            Self::Short(_) => samples.short_max(),
+            Self::Narrow(_) => samples.narrow_max(),
+            Self::Wide(_) => u32::MAX,
+        }
     }
 
     pub(super) fn at(&self, pixel: usize) -> Cell {
         match self {
-            Self::Narrow(planes) => Cell {
-                sum: planes.sum[pixel].into(),
-                squares: planes.squares[pixel],
-                blanks: planes.blanks[pixel].into(),
-                count: planes.count[pixel].into(),
-            },
-            Self::Wide(planes) => Cell {
-                sum: planes.sum[pixel],
-                squares: planes.squares[pixel],
-                blanks: planes.blanks[pixel],
-                count: planes.count[pixel],
-            },
+            Self::Short(planes) => planes.at(pixel),
+            Self::Narrow(planes) => planes.at(pixel),
+            Self::Wide(planes) => planes.at(pixel),
         }
     }
 
-    /// Makes the numbers wide.
+    /// Makes the numbers wider, if that is possible.
     pub(super) fn widen(&mut self) {
-        if let Self::Narrow(narrow) = self {
-            *self = Self::Wide(Planes {
-                sum: narrow.sum.iter().map(|&sum| sum.into()).collect(),
-                squares: std::mem::take(&mut narrow.squares),
-                blanks: narrow.blanks.iter().map(|&blanks| blanks.into()).collect(),
-                count: narrow.count.iter().map(|&count| count.into()).collect(),
-            });
+        match self {
+            Self::Short(short) => {
+                *self = Self::Narrow(Planes {
+                    sum: std::mem::take(&mut short.sum),
+                    squares: short.squares.iter().map(|&squares| squares.into()).collect(),
+                    blanks: std::mem::take(&mut short.blanks),
+                    count: std::mem::take(&mut short.count),
+                });
+            }
+            Self::Narrow(narrow) => {
+                *self = Self::Wide(Planes {
+                    sum: narrow.sum.iter().map(|&sum| sum.into()).collect(),
+                    squares: std::mem::take(&mut narrow.squares),
+                    blanks: narrow.blanks.iter().map(|&blanks| blanks.into()).collect(),
+                    count: narrow.count.iter().map(|&count| count.into()).collect(),
+                });
+            }
+            Self::Wide(_) => {}
         }
     }
 
     /// Changes one pixel by one cycle's Y and sum of blanks.
     pub(super) fn remove(&mut self, pixel: usize, y: i32, lit: u32) {
         match self {
-            Self::Narrow(planes) => take_out(planes, pixel, y, lit),
-            Self::Wide(planes) => take_out(planes, pixel, y, lit),
+            Self::Short(planes) => planes.remove(pixel, y, lit),
+            Self::Narrow(planes) => planes.remove(pixel, y, lit),
+            Self::Wide(planes) => planes.remove(pixel, y, lit),
         }
     }
 
     /// Adds the sums of others, pixel by pixel. The caller has made room for them.
     pub(super) fn merge(&mut self, other: &Self) {
         match (&mut *self, other) {
-            (Self::Narrow(to), Self::Narrow(from)) => {
-                to.sum.iter_mut().zip(&from.sum).for_each(|(a, b)| *a += b);
-                to.squares.iter_mut().zip(&from.squares).for_each(|(a, b)| *a += b);
-                to.blanks.iter_mut().zip(&from.blanks).for_each(|(a, b)| *a += b);
-                to.count.iter_mut().zip(&from.count).for_each(|(a, b)| *a += b);
-            }
-            (Self::Wide(to), from) => {
-                let pixels = to.sum.iter_mut().zip(&mut to.squares).zip(&mut to.blanks).zip(&mut to.count);
-                for (pixel, (((sum, squares), blanks), count)) in pixels.enumerate() {
-                    let more = from.at(pixel);
-                    *sum += more.sum;
-                    *squares += more.squares;
-                    *blanks += more.blanks;
-                    *count += more.count;
-                }
-            }
-            (Self::Narrow(_), Self::Wide(_)) => {
+            (Self::Short(to), Self::Short(from)) => to.merge(from),
+            (Self::Narrow(to), Self::Narrow(from)) => to.merge(from),
+            (Self::Wide(to), Self::Wide(from)) => to.merge(from),
+            (Self::Short(_), _) | (Self::Narrow(_), Self::Wide(_)) => {
                 self.widen();
                 self.merge(other);
+            }
+            (_, Self::Short(_) | Self::Narrow(_)) => {
+                let mut other = other.clone();
+                other.widen();
+                self.merge(&other);
             }
         }
     }
 }
 
-fn take_out<W: Width>(planes: &mut Planes<W>, pixel: usize, y: i32, lit: u32) {
-    planes.sum[pixel] = W::sum::<REMOVE>(planes.sum[pixel], y);
-    planes.squares[pixel] -= u64::from(y.unsigned_abs()) * u64::from(y.unsigned_abs());
-    planes.blanks[pixel] = W::blanks::<REMOVE>(planes.blanks[pixel], lit);
-    planes.count[pixel] = W::count::<REMOVE>(planes.count[pixel], 1);
+impl<W: Width> Planes<W> {
+    fn at(&self, pixel: usize) -> Cell {
+        Cell {
+            sum: self.sum[pixel].into(),
+            squares: self.squares[pixel].into(),
+            blanks: self.blanks[pixel].into(),
+            count: self.count[pixel].into(),
+        }
+    }
+
+    fn remove(&mut self, pixel: usize, y: i32, lit: u32) {
+        let size = u64::from(y.unsigned_abs());
+        self.sum[pixel] = W::sum::<REMOVE>(self.sum[pixel], y);
+        self.squares[pixel] = W::squares::<REMOVE>(self.squares[pixel], size * size);
+        self.blanks[pixel] = W::blanks::<REMOVE>(self.blanks[pixel], lit);
+        self.count[pixel] = W::count::<REMOVE>(self.count[pixel], 1);
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.sum.iter_mut().zip(&other.sum).for_each(|(a, b)| *a += *b);
+        self.squares.iter_mut().zip(&other.squares).for_each(|(a, b)| *a += *b);
+        self.blanks.iter_mut().zip(&other.blanks).for_each(|(a, b)| *a += *b);
+        self.count.iter_mut().zip(&other.count).for_each(|(a, b)| *a += *b);
+    }
 }

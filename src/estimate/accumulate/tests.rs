@@ -115,12 +115,47 @@ fn groups_of_cycles_are_exact() {
     }
 }
 
+/// Sums that outgrow short numbers are those of narrow ones: sixteen cycles of the highest 14 bit samples.
+#[test]
+fn short_sums_widen_without_a_trace() {
+    let saturation = 1 << 14;
+    let (high, low) = ([16_383_u16, 7, 16_384], [0_u16; 3]);
+    let last = Samples { blanks: 1, saturation }.short_max();
+    assert_eq!(last, 16);
+    let sums = |cycles: u32| {
+        let mut sums = Sums::new(1, 1, 3, 1, saturation).unwrap();
+        (0..cycles).for_each(|_| sums.add_cycle(0, &[&high], &low).unwrap());
+        sums
+    };
+    let (short, mut narrow) = (sums(last), sums(last + 1));
+    assert!(matches!(short.levels[0].cells, Cells::Short(_)));
+    assert!(matches!(narrow.levels[0].cells, Cells::Narrow(_)));
+    for (sums, cycles) in [(&short, last), (&narrow, last + 1)] {
+        let level = &sums.levels()[0];
+        assert_eq!(level.sum_squares(0), u64::from(cycles) * 16_383 * 16_383);
+        assert_eq!((level.sum(0), level.sum(2)), (-i64::from(cycles) * 16_383, 0));
+    }
+    let (mut one, mut both) = (sums(1), narrow.clone());
+    one.merge(&short).unwrap();
+    assert!(one == narrow);
+    both.merge(&short).unwrap();
+    one.merge(&narrow).unwrap();
+    assert!(both == sums(2 * last + 1) && one == sums(2 * last + 2));
+    narrow.remove_cycle(0, &[&high], &low).unwrap();
+    assert!(narrow == short);
+    narrow.remove_sample(0, 0, &[&high], &low);
+    assert_eq!(narrow.levels()[0].sum_squares(0), u64::from(last - 1) * 16_383 * 16_383);
+    // What does not fit even once is narrow from the start.
+    assert_eq!(Samples { blanks: 2, saturation: u16::MAX }.short_max(), 0);
+    assert!(matches!(Sums::new(1, 1, 3, 2, u16::MAX).unwrap().levels[0].cells, Cells::Narrow(_)));
+}
+
 /// Sums that outgrow narrow numbers are those of wide ones: added, merged and taken out.
 #[test]
 fn sums_widen_without_a_trace() {
     let (high, low) = ([65_534_u16; 3], [0_u16; 3]);
     let blanks = vec![high.as_slice(); usize::from(BLANKS_MAX)];
-    let last = planes::narrow_max(BLANKS_MAX);
+    let last = Samples { blanks: BLANKS_MAX, saturation: u16::MAX }.narrow_max();
     let sums = |cycles: u32| {
         let mut sums = Sums::new(1, 1, 3, BLANKS_MAX, u16::MAX).unwrap();
         (0..cycles).for_each(|_| sums.add_cycle(0, &blanks, &low).unwrap());

@@ -5,7 +5,7 @@
 
 use super::flag;
 use super::lanes::Number;
-use crate::estimate::accumulate::{self, Cells, LevelSums, Narrow, Planes, Wide, Width};
+use crate::estimate::accumulate::{self, Cells, LevelSums, Planes, Width};
 use std::ops::Range;
 
 /// Where the statistics of a level go, pixel by pixel.
@@ -32,6 +32,7 @@ pub(super) fn statistics<F: Number>(
 ) -> bool {
     let settings = Settings { cycles: level.cycles(), blanks, range, before };
     match level.cells() {
+        Some(Cells::Short(planes)) => settings.of(planes, out),
         Some(Cells::Narrow(planes)) => settings.of(planes, out),
         Some(Cells::Wide(planes)) => settings.of(planes, out),
         None => {
@@ -49,14 +50,15 @@ pub(super) fn statistics<F: Number>(
 #[inline(always)]
 pub(super) fn saturated(lost: &mut [u32], level: &LevelSums, range: Range<usize>) {
     match level.cells() {
-        Some(Cells::Narrow(planes)) => below::<Narrow>(lost, &planes.count[range], level.cycles()),
-        Some(Cells::Wide(planes)) => below::<Wide>(lost, &planes.count[range], level.cycles()),
+        Some(Cells::Short(planes)) => below(lost, &planes.count[range], level.cycles()),
+        Some(Cells::Narrow(planes)) => below(lost, &planes.count[range], level.cycles()),
+        Some(Cells::Wide(planes)) => below(lost, &planes.count[range], level.cycles()),
         None => {}
     }
 }
 
 #[inline(always)]
-fn below<W: Width>(lost: &mut [u32], count: &[W::Count], cycles: u32) {
+fn below<C: Copy + Into<u32>>(lost: &mut [u32], count: &[C], cycles: u32) {
     for (lost, &count) in lost.iter_mut().zip(count) {
         *lost |= u32::from(count.into() < cycles) * flag::SATURATED;
     }
@@ -101,7 +103,7 @@ impl Settings {
             for i in 0..n {
                 means[i] = F::of(float::<W>(sum[i])) * shares.sample;
                 blank[i] = F::of(light::<W>(lit[i])) * shares.sample;
-                spreads[i] = spread::<W, F>(cycles, sum[i], squares[i]) * square;
+                spreads[i] = spread::<W, F>(cycles, sum[i], squares[i].into()) * square;
             }
         } else {
             for i in 0..n {
@@ -113,7 +115,7 @@ impl Settings {
                 means[i] = if here { mean } else { zero };
                 let dark = F::of(light::<W>(lit[i])) * shares.sample;
                 blank[i] = if here { dark } else { zero };
-                let own = spread::<W, F>(cycles, sum[i], squares[i]) * shares.square;
+                let own = spread::<W, F>(cycles, sum[i], squares[i].into()) * shares.square;
                 spreads[i] = if more { own } else { zero };
             }
         }
@@ -123,7 +125,7 @@ impl Settings {
             let (mut most, mut largest) = (0_u32, 0_u64);
             for i in 0..n {
                 most = most.max(count[i].into());
-                largest |= squares[i];
+                largest |= squares[i].into();
             }
             u128::from(most) * (u128::from(largest) + 1) < 1 << 53
         };
@@ -131,7 +133,7 @@ impl Settings {
             for i in 0..n {
                 let cycles: u32 = count[i].into();
                 if cycles > 1 {
-                    let own = accumulate::variance(sum[i].into(), squares[i], cycles, self.blanks);
+                    let own = accumulate::variance(sum[i].into(), squares[i].into(), cycles, self.blanks);
                     spreads[i] = F::of(own * f64::from(cycles - 1));
                 }
             }
