@@ -8,6 +8,7 @@
 //! cycles (`lines`) give their quotients once a row.
 
 use super::lanes::Lanes;
+use super::levels::Levels;
 use super::lines::{self, Lined, Place, Plain};
 use super::verdict::{Answer, Fitted, judge, quantile};
 use super::weights::{Law, camera_noise, ours};
@@ -17,6 +18,9 @@ use crate::estimate::student::Quantiles;
 
 /// Marks pixels that `single` has to fit. Not a bit of the legend: it never leaves the solver.
 pub(super) const ALONE: u32 = 1 << 22;
+
+/// Marks pixels whose crossing is to become a temperature; it never leaves the solver either.
+pub(super) const ASKED: u32 = 1 << 21;
 
 /// Constants of a fit, the same for all pixels.
 #[derive(Debug, Clone)]
@@ -31,7 +35,7 @@ pub(super) struct Constants {
     pub(super) blanks: f64,
     pub(super) gamma_near: f64,
     pub(super) gamma_far: f64,
-    /// Coefficients of 1/t over powers of 2/ν − 1.
+    /// Coefficients of 1/t over powers of 2/ν − 1, an even number of them.
     pub(super) quantile: Vec<f64>,
     /// t of infinitely many degrees of freedom.
     pub(super) normal: f64,
@@ -49,10 +53,15 @@ impl Constants {
             blanks,
             gamma_near: inputs.gamma_near,
             gamma_far: inputs.gamma_far,
-            quantile: quantiles.powers(),
+            quantile: even(quantiles.powers()),
             normal: quantiles.at(f64::INFINITY),
         }
     }
+}
+
+fn even(mut powers: Vec<f64>) -> Vec<f64> {
+    powers.resize(powers.len().next_multiple_of(2), 0.0);
+    powers
 }
 
 /// One level of the pixels at hand.
@@ -80,67 +89,60 @@ pub(super) struct Group<V> {
     pub(super) first_mean: V,
     /// Whether any pixel nearby has a level of one cycle.
     pub(super) singles: bool,
+    /// Whether all pixels of the row have as many cycles, at every level.
+    pub(super) alike: bool,
 }
 
-/// Memory of a solver for one group.
-pub(super) struct Scratch<V> {
-    pub(super) levels: Vec<Level<V>>,
-    pub(super) places: Vec<Place<V>>,
+/// What the pixels at hand share with the others of their row, or know before their counts of light.
+pub(super) struct Ground<'a, V> {
+    /// Any vector.
+    pub(super) one: V,
+    pub(super) constants: &'a Constants,
+    pub(super) places: &'a [Place<V>],
     pub(super) plain: Plain<V>,
-    /// Means of spray − blank, and of the blanks, less those of the first level that is there.
-    pub(super) means: Vec<V>,
-    darks: Vec<V>,
-    pub(super) weights: Vec<V>,
-    pub(super) laws: Vec<Law<V>>,
     /// See [`Constants::quantile`].
-    pub(super) powers: Vec<V>,
+    pub(super) powers: &'a [V],
 }
 
-impl<V: Lanes> Scratch<V> {
-    /// Memory for the levels of `constants`; `one` is any vector.
-    pub(super) fn new(one: V, constants: &Constants) -> Self {
-        let (zero, x) = (one.all(0.0), &constants.x);
-        let place = |&at: &f64| Place {
-            x: one.all(at),
-            from_first: one.all(at - x[0]),
-            count: zero,
-            share: zero,
-            freedom: zero,
-            per_freedom: zero,
-            per_total: zero,
-            here: zero,
-            centred: zero,
-        };
-        let plain = Plain { mean_x: zero, weight: zero, spread: zero, per_weight: zero, per_spread: zero };
-        Self {
-            levels: vec![Level { mean: zero, squares: zero, blank: zero, pooled: zero }; x.len()],
-            places: x.iter().map(place).collect(),
-            plain,
-            means: vec![zero; x.len()],
-            darks: vec![zero; x.len()],
-            weights: vec![zero; x.len()],
-            laws: vec![Law::none(zero); x.len()],
-            powers: constants.quantile.iter().map(|&power| one.all(power)).collect(),
-        }
-    }
+/// Memory of a solver for the pixels at hand.
+pub(super) struct Scratch<V: Lanes, L: Levels> {
+    pub(super) levels: L::Each<Level<V>>,
+    /// Means of spray − blank, and of the blanks, less those of the first level that is there.
+    pub(super) means: L::Each<V>,
+    pub(super) darks: L::Each<V>,
+    pub(super) weights: L::Each<V>,
+    pub(super) laws: L::Each<Law<V>>,
+}
 
-    /// Takes the numbers of cycles that were put into the places.
+impl<V: Lanes, L: Levels> Scratch<V, L> {
+    /// Memory for some levels; `one` is any vector.
     #[inline(always)]
-    pub(super) fn place(&mut self, one: V, constants: &Constants) {
-        self.plain = lines::place(one, &constants.x, &mut self.places);
+    pub(super) fn new(one: V, levels: usize) -> Self {
+        let zero = one.all(0.0);
+        Self {
+            levels: L::each(Level { mean: zero, squares: zero, blank: zero, pooled: zero }, levels),
+            means: L::each(zero, levels),
+            darks: L::each(zero, levels),
+            weights: L::each(zero, levels),
+            laws: L::each(Law::none(zero), levels),
+        }
     }
 
     /// Differences of the levels to the first that is there; gives its mean of spray − blank.
     #[inline(always)]
-    fn relate(&mut self, one: V) -> V {
-        let zero = one.all(0.0);
-        let (mut mean, mut dark) = (zero, zero);
-        for (place, level) in self.places.iter().zip(&self.levels).rev() {
-            let there = zero.below(place.count);
-            mean = V::pick(there, level.mean, mean);
-            dark = V::pick(there, level.blank, dark);
+    pub(super) fn relate(&mut self, one: V, places: &[Place<V>], alike: bool) -> V {
+        let levels = self.levels.as_ref();
+        let (mut mean, mut dark) = (one.all(0.0), one.all(0.0));
+        if alike && let Some(first) = levels.first() {
+            (mean, dark) = (first.mean, first.blank);
+        } else {
+            for (place, level) in places.iter().zip(levels).rev() {
+                let there = one.all(0.0).below(place.count);
+                mean = V::pick(there, level.mean, mean);
+                dark = V::pick(there, level.blank, dark);
+            }
         }
-        let each = self.levels.iter().zip(self.means.iter_mut().zip(&mut self.darks));
+        let each = levels.iter().zip(self.means.as_mut().iter_mut().zip(self.darks.as_mut()));
         for (level, (of_mean, of_dark)) in each {
             *of_mean = level.mean - mean;
             *of_dark = level.blank - dark;
@@ -151,22 +153,22 @@ impl<V: Lanes> Scratch<V> {
 
 /// Fits a group: gain, line, uncertainty, and everything but temperatures.
 #[inline(always)]
-pub(super) fn fit<V: Lanes>(
-    one: V,
-    constants: &Constants,
+pub(super) fn fit<V: Lanes, L: Levels>(
+    ground: &Ground<'_, V>,
     estimator: Estimator,
     mut group: Group<V>,
-    scratch: &mut Scratch<V>,
+    scratch: &mut Scratch<V, L>,
 ) -> Answer<V> {
+    let one = ground.one;
     let zero = one.all(0.0);
-    group.first_mean = scratch.relate(one);
-    let gains = gain(one, constants, scratch);
+    group.first_mean = scratch.relate(one, ground.places, group.alike);
+    let gains = gain(ground, scratch.darks.as_ref());
     let (fitted, defined) = match estimator {
-        Estimator::Ols => unweighted(one, constants, &group, scratch),
-        Estimator::Paper => papers(one, constants, &group, scratch),
-        Estimator::Default => ours(one, constants, &group, scratch),
+        Estimator::Ols => unweighted(ground, &group, scratch),
+        Estimator::Paper => papers(ground, &group, scratch),
+        Estimator::Default => ours(ground, &group, scratch),
     };
-    let mut answer = judge(one, constants, estimator == Estimator::Default, &fitted);
+    let mut answer = judge(one, ground.constants, estimator == Estimator::Default, &fitted);
     // Without a line: nothing but a flag. Our own estimator says nothing of pixels that never change either.
     let seen = match estimator {
         Estimator::Default => one.both(defined, zero.below(group.alive)),
@@ -178,21 +180,21 @@ pub(super) fn fit<V: Lanes>(
     }
     let undefined = V::pick(defined, zero, one.all(f64::from(flag::TOO_FEW_LEVELS)));
     answer.flags = group.flags + undefined + V::pick(seen, answer.flags, zero);
-    answer.asked = V::pick(seen, answer.asked, zero);
     (answer.channels[GAIN], answer.channels[GAIN + 1]) = gains;
     answer
 }
 
-/// Where `gain` stands among the channels.
+/// Where `gain` stands among the channels, and `sigma_gain`.
 pub(super) const GAIN: usize = 13;
+pub(super) const SIGMA_GAIN: usize = 14;
 
 /// Slope of the blanks against I_cal and its standard deviation; NaN below two and three levels.
 #[inline(always)]
-fn gain<V: Lanes>(one: V, constants: &Constants, scratch: &Scratch<V>) -> (V, V) {
+pub(super) fn gain<V: Lanes>(ground: &Ground<'_, V>, darks: &[V]) -> (V, V) {
+    let &Ground { one, constants, places, plain, .. } = ground;
     let zero = one.all(0.0);
-    let plain = &scratch.plain;
-    let (centre, slope) = plain.slope(one, &scratch.places, &scratch.darks);
-    let chi2 = plain.chi2(one, &scratch.places, &scratch.darks, centre, slope);
+    let (centre, slope) = plain.slope(one, places, darks);
+    let chi2 = plain.chi2(one, places, darks, centre, slope);
     let freedom = plain.weight - one.all(2.0);
     let variance = chi2 * plain.per_spread / freedom;
     let defined = plain.defined(one);
@@ -203,24 +205,27 @@ fn gain<V: Lanes>(one: V, constants: &Constants, scratch: &Scratch<V>) -> (V, V)
 
 /// All levels alike, variance from the scatter about the line.
 #[inline(always)]
-fn unweighted<V: Lanes>(
-    one: V,
-    constants: &Constants,
+fn unweighted<V: Lanes, L: Levels>(
+    ground: &Ground<'_, V>,
     group: &Group<V>,
-    scratch: &mut Scratch<V>,
+    scratch: &mut Scratch<V, L>,
 ) -> (Fitted<V>, V::Mask) {
+    let &Ground { one, constants, places, plain, powers } = ground;
     let (zero, unit) = (one.all(0.0), one.all(1.0));
-    for (weight, place) in scratch.weights.iter_mut().zip(&scratch.places) {
+    for (weight, place) in scratch.weights.as_mut().iter_mut().zip(places) {
         *weight = place.here;
     }
-    let plain = &scratch.plain;
-    let (centre, slope) = plain.slope(one, &scratch.places, &scratch.means);
-    let chi2 = plain.chi2(one, &scratch.places, &scratch.means, centre, slope);
+    let values = scratch.means.as_ref();
+    let (centre, slope) = plain.slope(one, places, values);
+    let chi2 = plain.chi2(one, places, values, centre, slope);
+    let (per_slope, mean_y) = (unit / slope, group.first_mean + centre);
     let line = Lined {
         slope,
+        per_slope,
+        drop: mean_y * per_slope,
         chi2,
         mean_x: plain.mean_x,
-        mean_y: group.first_mean + centre,
+        mean_y,
         per_weight: plain.per_weight,
         per_spread: plain.per_spread,
     };
@@ -229,12 +234,12 @@ fn unweighted<V: Lanes>(
     let per_freedom = unit / freedom;
     let scale = V::pick(some, chi2 * per_freedom, one.all(f64::NAN));
     let of_slope = scale * plain.per_spread;
-    let t = quantile(one, constants, &scratch.powers, V::pick(some, per_freedom, unit));
+    let t = quantile(one, constants, powers, V::pick(some, per_freedom, unit));
     let fitted = Fitted {
         line,
         covariance: [of_slope, scale * plain.per_weight, zero],
         slope_variance: of_slope,
-        noise: camera_noise(one, constants, group, scratch, &line),
+        noise: camera_noise(ground, group, scratch, &line),
         quantiles: [t, t],
         flags: V::pick(some, zero, one.all(f64::from(flag::NO_STATISTICS))),
     };
@@ -243,38 +248,39 @@ fn unweighted<V: Lanes>(
 
 /// The paper's weights n/max(s², 1/12); a level of one cycle makes the line unweighted.
 #[inline(always)]
-fn papers<V: Lanes>(
-    one: V,
-    constants: &Constants,
+fn papers<V: Lanes, L: Levels>(
+    ground: &Ground<'_, V>,
     group: &Group<V>,
-    scratch: &mut Scratch<V>,
+    scratch: &mut Scratch<V, L>,
 ) -> (Fitted<V>, V::Mask) {
+    let &Ground { one, constants, places, .. } = ground;
     let (zero, unit) = (one.all(0.0), one.all(1.0));
     let floor = one.all(ROUNDING_VARIANCE);
     let mut single = unit.below(zero);
-    let each = scratch.weights.iter_mut().zip(&scratch.places).zip(&scratch.levels);
+    let each = scratch.weights.as_mut().iter_mut().zip(places).zip(scratch.levels.as_ref());
     for ((weight, place), level) in each {
         *weight = place.count / (level.squares * place.per_freedom).larger(floor);
         let once = one.both(zero.below(place.count), place.count.at_most(unit));
         single = one.either(single, once);
     }
     let first = (one.all(constants.x.first().copied().unwrap_or(0.0)), group.first_mean);
-    let sums = lines::sums(one, &scratch.places, &scratch.means, &scratch.weights, first);
-    let line = sums.line(one, &scratch.places, &scratch.means, &scratch.weights);
+    let (values, weights) = (scratch.means.as_ref(), scratch.weights.as_ref());
+    let sums = lines::sums(one, places, values, weights, first);
+    let line = sums.line(one, places, values, weights);
     let defined = sums.defined(one);
     let normal = one.all(constants.normal);
     let own = Fitted {
         line,
         covariance: [line.per_spread, line.per_weight, zero],
         slope_variance: line.per_spread,
-        noise: camera_noise(one, constants, group, scratch, &line),
+        noise: camera_noise(ground, group, scratch, &line),
         quantiles: [normal, normal],
         flags: zero,
     };
     if !group.singles {
         return (own, defined);
     }
-    let (other, other_defined) = unweighted(one, constants, group, scratch);
+    let (other, other_defined) = unweighted(ground, group, scratch);
     let back = one.all(f64::from(flag::FELL_BACK_TO_OLS));
     let other = Fitted { flags: other.flags + back, ..other };
     let here = one.all(1.0);
@@ -290,6 +296,8 @@ fn choose<V: Lanes>(mask: V::Mask, yes: &Fitted<V>, no: &Fitted<V>) -> Fitted<V>
     Fitted {
         line: Lined {
             slope: V::pick(mask, a.slope, b.slope),
+            per_slope: V::pick(mask, a.per_slope, b.per_slope),
+            drop: V::pick(mask, a.drop, b.drop),
             chi2: V::pick(mask, a.chi2, b.chi2),
             mean_x: V::pick(mask, a.mean_x, b.mean_x),
             mean_y: V::pick(mask, a.mean_y, b.mean_y),

@@ -3,10 +3,44 @@
 //! No fused operations, and every choice by comparison: any width of vectors gives the bits of one pixel alone.
 
 use pulp::Simd;
-use std::ops::{Add, Div, Mul, Sub};
+use std::ops::{Add, Deref, DerefMut, Div, Mul, Range, Sub};
 
 /// Numbers of the widest vector (f32, AVX-512): rows in memory are padded to a multiple of it.
 pub(super) const WIDEST: usize = 16;
+
+/// Bytes of a line of the cache, which a vector should not straddle.
+const LINE: usize = 64;
+
+/// Numbers that begin with a line of the cache.
+#[derive(Debug)]
+pub(super) struct Aligned<T> {
+    memory: Vec<T>,
+    within: Range<usize>,
+}
+
+impl<T: Copy> Aligned<T> {
+    /// `value`, `n` times.
+    pub(super) fn new(value: T, n: usize) -> Self {
+        let memory = vec![value; n + LINE / size_of::<T>()];
+        let start = memory.as_ptr().align_offset(LINE).min(memory.len() - n);
+        Self { memory, within: start..start + n }
+    }
+}
+
+impl<T> Deref for Aligned<T> {
+    type Target = [T];
+    #[inline(always)]
+    fn deref(&self) -> &[T] {
+        &self.memory[self.within.clone()]
+    }
+}
+
+impl<T> DerefMut for Aligned<T> {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut [T] {
+        &mut self.memory[self.within.clone()]
+    }
+}
 
 /// A vector of numbers.
 pub(super) trait Lanes:
@@ -48,9 +82,10 @@ pub(super) trait Lanes:
     }
 
     /// Neither NaN nor infinite.
+    #[expect(clippy::eq_op, reason = "what is not finite less itself is NaN")]
     #[inline(always)]
     fn finite(self) -> Self::Mask {
-        self.size().below(self.all(f64::INFINITY))
+        (self - self).at_most(self.all(0.0))
     }
 
     /// `bit` where `mask`, else 0.
@@ -169,7 +204,7 @@ lanes!(
 );
 
 /// A kind of number: f64 for what is kept, f32 for what is looked at.
-pub trait Number:
+pub(super) trait Number:
     Copy
     + Default
     + Send
@@ -197,15 +232,9 @@ pub trait Number:
     fn lift(self, small: Self) -> (Self, Self);
     /// Whether it is a number and not infinite.
     fn is_number(self) -> bool;
-    /// Square root.
-    fn square_root(self) -> Self;
 
-    /// Bits from a sum of bits below 2²⁴: exact.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "sums of bits below 2^24")]
-    #[inline(always)]
-    fn bits_of(self) -> u32 {
-        self.wide() as u32
-    }
+    /// Bits from a sum of bits below 2²³: exact.
+    fn bits_of(self) -> u32;
 }
 
 impl Number for f64 {
@@ -247,9 +276,11 @@ impl Number for f64 {
         self.abs() < Self::INFINITY
     }
 
+    // The low bits of 2⁵² + n are n.
+    #[expect(clippy::cast_possible_truncation, reason = "the low bits are meant")]
     #[inline(always)]
-    fn square_root(self) -> Self {
-        self.sqrt()
+    fn bits_of(self) -> u32 {
+        (self + 4_503_599_627_370_496.0).to_bits() as u32
     }
 }
 
@@ -285,52 +316,47 @@ impl Number for f32 {
     }
 
     #[inline(always)]
-    fn square_root(self) -> Self {
-        self.sqrt()
+    fn bits_of(self) -> u32 {
+        (self + 8_388_608.0).to_bits() & 0x007F_FFFF
     }
 }
 
 /// Reads and writes vectors of a kind of number.
-pub(super) trait Machine<S: Simd>: Number {
-    type Lanes: Lanes;
-    /// How many numbers a vector has.
-    const WIDTH: usize;
-    fn read(simd: S, numbers: &[Self], vector: usize) -> Self::Lanes;
+pub(super) trait Machine: Number {
+    /// A vector of the machine `S`.
+    type Lanes<S: Simd>: Lanes;
+    /// How many numbers it has.
+    fn width<S: Simd>() -> usize;
+    fn read<S: Simd>(simd: S, numbers: &[Self], vector: usize) -> Self::Lanes<S>;
     /// Fills `numbers`, as many as there are in `value`.
-    fn write(numbers: &mut [Self], value: Self::Lanes);
+    fn write<S: Simd>(numbers: &mut [Self], value: Self::Lanes<S>);
 }
 
-impl<S: Simd> Machine<S> for f64 {
-    type Lanes = Doubles<S>;
-    const WIDTH: usize = S::F64_LANES;
+macro_rules! machine {
+    ($number:ty, $lanes:ident, $width:ident, $as:ident, $as_mut:ident, $and:ident) => {
+        impl Machine for $number {
+            type Lanes<S: Simd> = $lanes<S>;
 
-    #[inline(always)]
-    fn read(simd: S, numbers: &[Self], vector: usize) -> Self::Lanes {
-        // With themselves: the numbers come as a vector then, else they would be copied by way of the stack.
-        let vector = S::as_simd_f64s(numbers).0[vector];
-        Doubles(simd, simd.and_f64s(vector, vector))
-    }
+            #[inline(always)]
+            fn width<S: Simd>() -> usize {
+                S::$width
+            }
 
-    #[inline(always)]
-    fn write(numbers: &mut [Self], value: Self::Lanes) {
-        let ([first], _) = S::as_mut_simd_f64s(numbers) else { panic!("room for a vector") };
-        *first = value.1;
-    }
+            #[inline(always)]
+            fn read<S: Simd>(simd: S, numbers: &[Self], vector: usize) -> $lanes<S> {
+                // With themselves: the numbers come as a vector then, else they would be copied by way of the stack.
+                let vector = S::$as(numbers).0[vector];
+                $lanes(simd, simd.$and(vector, vector))
+            }
+
+            #[inline(always)]
+            fn write<S: Simd>(numbers: &mut [Self], value: $lanes<S>) {
+                let ([first], _) = S::$as_mut(numbers) else { panic!("room for a vector") };
+                *first = value.1;
+            }
+        }
+    };
 }
 
-impl<S: Simd> Machine<S> for f32 {
-    type Lanes = Singles<S>;
-    const WIDTH: usize = S::F32_LANES;
-
-    #[inline(always)]
-    fn read(simd: S, numbers: &[Self], vector: usize) -> Self::Lanes {
-        let vector = S::as_simd_f32s(numbers).0[vector];
-        Singles(simd, simd.and_f32s(vector, vector))
-    }
-
-    #[inline(always)]
-    fn write(numbers: &mut [Self], value: Self::Lanes) {
-        let ([first], _) = S::as_mut_simd_f32s(numbers) else { panic!("room for a vector") };
-        *first = value.1;
-    }
-}
+machine!(f64, Doubles, F64_LANES, as_simd_f64s, as_mut_simd_f64s, and_f64s);
+machine!(f32, Singles, F32_LANES, as_simd_f32s, as_mut_simd_f32s, and_f32s);

@@ -4,6 +4,7 @@
 //! worked out once a row where all pixels are alike in that, with the operations that single vectors would take.
 
 use super::lanes::Lanes;
+use super::levels::Levels;
 use crate::estimate::law::FREEDOM_LAW;
 use crate::estimate::line::SPREAD_MIN;
 
@@ -42,6 +43,9 @@ pub(super) struct Plain<V> {
 #[derive(Clone, Copy)]
 pub(super) struct Lined<V> {
     pub(super) slope: V,
+    /// One over it, and how far the crossing is below the mean x.
+    pub(super) per_slope: V,
+    pub(super) drop: V,
     pub(super) chi2: V,
     pub(super) mean_x: V,
     pub(super) mean_y: V,
@@ -59,6 +63,28 @@ pub(super) struct Summed<V> {
     pub(super) spread: V,
     pub(super) sxy: V,
     centre_y: V,
+}
+
+/// Places of levels at `x`, without cycles.
+#[inline(always)]
+pub(super) fn places<V: Lanes, L: Levels>(one: V, x: &[f64]) -> L::Each<Place<V>> {
+    let zero = one.all(0.0);
+    let nowhere = Place {
+        x: zero,
+        from_first: zero,
+        count: zero,
+        share: zero,
+        freedom: zero,
+        per_freedom: zero,
+        per_total: zero,
+        here: zero,
+        centred: zero,
+    };
+    let mut places = L::each(nowhere, x.len());
+    for (place, &at) in places.as_mut().iter_mut().zip(x) {
+        (place.x, place.from_first) = (one.all(at), one.all(at - x[0]));
+    }
+    places
 }
 
 /// Fills `places` for cycles that count, level by level, and gives the x of the unweighted line.
@@ -173,6 +199,9 @@ impl<V: Lanes> Summed<V> {
             chi2 = chi2 + w * residual * residual;
         }
         let (mean_x, mean_y) = (self.mean_x, self.mean_y);
-        Lined { slope, chi2, mean_x, mean_y, per_weight: self.per_weight, per_spread }
+        // Not 1/slope: what follows would wait for two divisions.
+        let per_slope = self.spread / self.sxy;
+        let drop = mean_y * per_slope;
+        Lined { slope, per_slope, drop, chi2, mean_x, mean_y, per_weight: self.per_weight, per_spread }
     }
 }

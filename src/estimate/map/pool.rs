@@ -1,6 +1,6 @@
 //! Variances pooled over a pixel's neighbours: windows of 5 × 5, cut at the edges.
 
-use super::lanes::Number;
+use super::lanes::{Aligned, Number};
 use super::rows::{KEPT, RADIUS, Slot};
 use std::ops::Range;
 
@@ -10,9 +10,9 @@ const WINDOW: usize = 2 * RADIUS + 1;
 /// Pooled variances of one row, and what the next row may use again.
 pub(super) struct Pool<F> {
     /// `[level][stride]`; NaN where there is none.
-    pub(super) pooled: Vec<F>,
+    pub(super) pooled: Aligned<F>,
     /// 1/Σ(n − 1), `[level][stride]`.
-    shares: Vec<F>,
+    shares: Aligned<F>,
     /// Sums over the rows of a window, with a margin of zeros on both sides.
     vertical: Vec<F>,
     /// A row of zeros, for what is above and below the image.
@@ -26,8 +26,8 @@ impl<F: Number> Pool<F> {
     pub(super) fn new(levels: usize, stride: usize) -> Self {
         let zero = F::of(0.0);
         Self {
-            pooled: vec![zero; levels * stride],
-            shares: vec![zero; levels * stride],
+            pooled: Aligned::new(zero, levels * stride),
+            shares: Aligned::new(zero, levels * stride),
             vertical: vec![zero; stride + 2 * RADIUS],
             nothing: vec![zero; stride],
             known: (0, vec![zero; levels]),

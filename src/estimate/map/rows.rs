@@ -3,7 +3,7 @@
 //! Rows of statistics are kept, since a pooled variance needs two rows above and two below. A row's bits do not
 //! depend on where the walk began, so any cut of the image among threads gives the same map.
 
-use super::lanes::{Number, WIDEST};
+use super::lanes::{Aligned, Number, WIDEST};
 use super::pool::Pool;
 use super::statistics::{Statistics, saturated, statistics};
 use super::{FitInputs, flag};
@@ -62,15 +62,14 @@ pub(super) struct Walk<'a, F> {
     reach: usize,
 }
 
-#[derive(Clone)]
 pub(super) struct Slot<F> {
-    pub(super) count: Vec<F>,
-    pub(super) mean: Vec<F>,
-    pub(super) squares: Vec<F>,
-    pub(super) blank: Vec<F>,
-    pub(super) flat: Vec<F>,
-    pub(super) flags: Vec<F>,
-    pub(super) alive: Vec<F>,
+    pub(super) count: Aligned<F>,
+    pub(super) mean: Aligned<F>,
+    pub(super) squares: Aligned<F>,
+    pub(super) blank: Aligned<F>,
+    pub(super) flat: Aligned<F>,
+    pub(super) flags: Aligned<F>,
+    pub(super) alive: Aligned<F>,
     lost: Vec<u32>,
     singles: bool,
     /// Every level has as many cycles in all pixels; and no pixel is dead.
@@ -93,16 +92,16 @@ impl<'a, F: Number> Walk<'a, F> {
         let columns = sums.columns();
         let stride = columns.next_multiple_of(WIDEST);
         let zero = F::of(0.0);
-        let all = || vec![zero; used.len() * stride];
-        let slot = Slot {
+        let all = || Aligned::new(zero, used.len() * stride);
+        let slot = || Slot {
             count: all(),
             mean: all(),
             squares: all(),
             blank: all(),
             // Beyond the last column stand pixels without a cycle.
-            flat: vec![F::of(1.0); stride],
-            flags: vec![zero; stride],
-            alive: vec![zero; stride],
+            flat: Aligned::new(F::of(1.0), stride),
+            flags: Aligned::new(zero, stride),
+            alive: Aligned::new(zero, stride),
             lost: vec![0; columns],
             singles: false,
             alike: false,
@@ -115,7 +114,7 @@ impl<'a, F: Number> Walk<'a, F> {
             flat_gain: inputs.flat_gain,
             columns,
             stride,
-            slots: vec![slot; KEPT],
+            slots: std::iter::repeat_with(slot).take(KEPT).collect(),
             pool: Pool::new(used.len(), stride),
             rows: 0..0,
             filled: 0,
@@ -128,6 +127,11 @@ impl<'a, F: Number> Walk<'a, F> {
         self.reach = if pool { RADIUS } else { 0 };
         self.filled = rows.start.saturating_sub(self.reach);
         self.rows = rows;
+    }
+
+    /// Pixels of a row.
+    fn pixels(&self, row: usize) -> Range<usize> {
+        row * self.columns..(row + 1) * self.columns
     }
 
     /// The next row; None after the last. (No closure takes the rows: it would not be compiled for the widest vectors.)
@@ -172,7 +176,7 @@ impl<'a, F: Number> Walk<'a, F> {
         for (k, &level) in self.used.iter().enumerate() {
             let level = &self.sums.levels()[level];
             for row in rows.clone() {
-                let range = row * self.columns..(row + 1) * self.columns;
+                let range = self.pixels(row);
                 let slot = &mut self.slots[row % KEPT];
                 let to = k * self.stride..k * self.stride + self.columns;
                 let out = Statistics {
@@ -192,12 +196,12 @@ impl<'a, F: Number> Walk<'a, F> {
     /// Gains, flags and life of a row whose statistics are there.
     #[inline(always)]
     fn finish(&mut self, row: usize) {
-        let range = row * self.columns..(row + 1) * self.columns;
+        let (range, columns) = (self.pixels(row), self.columns);
         let slot = &mut self.slots[row % KEPT];
         if let Some(flat) = self.flat_gain {
             slot.flat.iter_mut().zip(&flat[range.clone()]).for_each(|(to, &gain)| *to = F::of(gain));
             for k in 0..self.used.len() {
-                slot.alike &= calibrate(slot, k * self.stride..k * self.stride + self.columns);
+                slot.alike &= calibrate(slot, k * self.stride..k * self.stride + columns);
             }
         }
         slot.lost.fill(0);
@@ -214,7 +218,7 @@ impl<'a, F: Number> Walk<'a, F> {
         for (flags, &lost) in slot.flags.iter_mut().zip(&slot.lost) {
             *flags = F::of(f64::from(lost));
         }
-        slot.alive[..self.columns].fill(F::of(1.0));
+        slot.alive[..columns].fill(F::of(1.0));
         slot.lively = true;
         if self.used.is_empty() {
             return;
@@ -226,14 +230,14 @@ impl<'a, F: Number> Walk<'a, F> {
                 singles += u32::from(count[0] < two);
             }
         } else {
-            for &n in &slot.count {
+            for &n in slot.count.iter() {
                 singles += u32::from(zero < n && n < two);
             }
         }
         slot.singles = singles > 0;
         // Hardly a pixel is still: a row without one is told by its first level alone.
         let mut still = 0_u32;
-        for (&n, &squares) in slot.count[..self.columns].iter().zip(&slot.squares[..self.columns]) {
+        for (&n, &squares) in slot.count[..columns].iter().zip(&slot.squares[..columns]) {
             still += u32::from(n < two || squares <= zero);
         }
         if still > 0 {
@@ -301,7 +305,7 @@ fn calibrate<F: Number>(slot: &mut Slot<F>, to: Range<usize>) -> bool {
     let mut all = true;
     let each = slot.count[to.clone()].iter_mut().zip(&mut slot.mean[to.clone()]);
     let more = slot.squares[to.clone()].iter_mut().zip(&mut slot.blank[to]);
-    for (((count, mean), (squares, blank)), &gain) in each.zip(more).zip(&slot.flat) {
+    for (((count, mean), (squares, blank)), &gain) in each.zip(more).zip(slot.flat.iter()) {
         let known = zero < gain && gain.is_number();
         let g = if known { gain } else { F::of(1.0) };
         all &= known;

@@ -144,6 +144,8 @@ impl Pixel {
         let fitted = Fitted {
             line: Lined {
                 slope: one(line.slope),
+                per_slope: one(1.0 / line.slope),
+                drop: one(line.mean_y * (1.0 / line.slope)),
                 chi2: one(line.chi2),
                 mean_x: one(line.mean_x),
                 mean_y: one(line.mean_y),

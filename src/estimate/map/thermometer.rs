@@ -1,5 +1,6 @@
 //! From crossings to temperatures: a row at a time, with a logarithm that vectors can do.
 
+use super::kernel::ASKED;
 use super::lanes::Number;
 use super::{FitInputs, flag};
 use crate::estimate::calibration::{C2_UM_K, EXTRAPOLATION_MAX, Residual};
@@ -72,46 +73,51 @@ impl<'a, F: Number> Thermometer<'a, F> {
 
     #[inline(always)]
     fn read_by(&self, corrected: &impl Fn(F) -> (F, F), crossings: &mut [F]) {
+        // A copy, so that no choice between its numbers becomes one between places in memory: those are gathered.
+        let own = *self;
         for value in crossings {
-            let kelvin = corrected(self.body(self.counts(*value)).kelvin).0;
-            *value = if self.outside(kelvin) { F::NAN } else { kelvin };
+            let kelvin = corrected(own.body(own.counts(*value)).kelvin).0;
+            *value = if own.outside(kelvin) { F::NAN } else { kelvin };
         }
     }
 
-    /// The same with flags where `asked` is 1, and the crossings' standard deviations into kelvins.
+    /// The same with flags where they are [`ASKED`] for, whose mark is taken off, and standard deviations of the
+    /// crossings into kelvins.
     #[inline(always)]
-    pub(super) fn read_flagged(
+    pub(super) fn read_flagged<const N: usize>(
         &self,
         crossings: &mut [F],
-        sigmas: [&mut [F]; 2],
-        asked: &[F],
+        sigmas: [&mut [F]; N],
         flags: &mut [u32],
     ) {
         match self.residual {
-            None => self.read_flagged_by(&|kelvin| (kelvin, F::of(1.0)), crossings, sigmas, asked, flags),
+            None => self.read_flagged_by(&|kelvin| (kelvin, F::of(1.0)), crossings, sigmas, flags),
             Some(residual) => {
-                self.read_flagged_by(&|kelvin| corrected(residual, kelvin), crossings, sigmas, asked, flags);
+                self.read_flagged_by(&|kelvin| corrected(residual, kelvin), crossings, sigmas, flags);
             }
         }
     }
 
     #[inline(always)]
-    fn read_flagged_by(
+    fn read_flagged_by<const N: usize>(
         &self,
         corrected: &impl Fn(F) -> (F, F),
         crossings: &mut [F],
-        [sigmas, noises]: [&mut [F]; 2],
-        asked: &[F],
+        mut sigmas: [&mut [F]; N],
         flags: &mut [u32],
     ) {
-        let zero = F::of(0.0);
-        let each = crossings.iter_mut().zip(sigmas.iter_mut().zip(noises.iter_mut()));
-        for (((value, (sigma, noise)), &asked), flags) in each.zip(asked).zip(flags.iter_mut()) {
-            let body = self.body(self.counts(*value));
+        let n = crossings.len();
+        let flags = &mut flags[..n];
+        for sigmas in &mut sigmas {
+            *sigmas = &mut std::mem::take(sigmas)[..n];
+        }
+        let own = *self;
+        for i in 0..n {
+            let body = own.body(own.counts(crossings[i]));
             let (kelvin, by_equation) = corrected(body.kelvin);
             let light = body.lit && kelvin.is_number();
-            let outside = self.outside(kelvin);
-            let inside = self.low_k <= kelvin && kelvin <= self.high_k;
+            let outside = own.outside(kelvin);
+            let inside = own.low_k <= kelvin && kelvin <= own.high_k;
             let bits = if !light {
                 flag::NO_RADIANCE
             } else if outside {
@@ -121,14 +127,16 @@ impl<'a, F: Number> Thermometer<'a, F> {
             } else {
                 flag::EXTRAPOLATED
             };
-            *flags |= if zero < asked { bits } else { 0 };
+            let before = flags[i];
+            flags[i] = (before & !ASKED) | if before & ASKED == 0 { 0 } else { bits };
             let known = light && !outside;
-            let slope = self.plate * body.slope * by_equation;
-            // One NaN where nothing is known: the sign of a product of two depends on how it was compiled.
-            let (sigma_k, noise_k) = (*sigma * slope, *noise * slope);
-            *sigma = if known { sigma_k } else { F::NAN };
-            *noise = if known { noise_k } else { F::NAN };
-            *value = if known { kelvin } else { F::NAN };
+            let slope = own.plate * body.slope * by_equation;
+            for sigmas in &mut sigmas {
+                // One NaN where nothing is known: the sign of a product of two depends on how it was compiled.
+                let sigma_k = sigmas[i] * slope;
+                sigmas[i] = if known { sigma_k } else { F::NAN };
+            }
+            crossings[i] = if known { kelvin } else { F::NAN };
         }
     }
 

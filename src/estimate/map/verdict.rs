@@ -1,6 +1,6 @@
 //! From lines to emissivity, crossing, their intervals and flags, for several pixels at once.
 
-use super::kernel::Constants;
+use super::kernel::{ASKED, Constants};
 use super::lanes::Lanes;
 use super::lines::Lined;
 use super::{CHANNELS, flag};
@@ -25,21 +25,21 @@ pub(super) struct Fitted<V> {
 pub(super) struct Answer<V> {
     /// In the order of [`CHANNELS`]; temperatures still as crossings, `sigma_temperature_k` as that of the crossing.
     pub(super) channels: [V; CHANNELS.len()],
+    /// With [`ASKED`] where a temperature is wanted.
     pub(super) flags: V,
-    /// 1 where a temperature is asked for.
-    pub(super) asked: V,
 }
 
 /// t for 1/ν degrees of freedom, clamped to ν ≥ 1: Horner's sum of a polynomial of 1/t in 2/ν − 1,
-/// whose coefficients are `powers`.
+/// whose coefficients are `powers`, an even number of them.
 #[inline(always)]
 pub(super) fn quantile<V: Lanes>(one: V, constants: &Constants, powers: &[V], inverse_freedom: V) -> V {
     let (zero, unit) = (one.all(0.0), one.all(1.0));
     let u = inverse_freedom.smaller(unit);
     let z = u + u - unit;
-    let mut sum = zero;
-    for &power in powers.iter().rev() {
-        sum = sum * z + power;
+    // In twos: half as many operations that wait for each other.
+    let (z_2, mut sum) = (z * z, zero);
+    for &[even, odd] in powers.as_chunks().0.iter().rev() {
+        sum = sum * z_2 + (odd * z + even);
     }
     V::pick(zero.below(u), unit / sum, one.all(constants.normal))
 }
@@ -48,7 +48,7 @@ pub(super) fn quantile<V: Lanes>(one: V, constants: &Constants, powers: &[V], in
 #[inline(always)]
 pub(super) fn judge<V: Lanes>(one: V, constants: &Constants, ours: bool, fitted: &Fitted<V>) -> Answer<V> {
     let (zero, nan) = (one.all(0.0), one.all(f64::NAN));
-    let Lined { slope, chi2, mean_x, mean_y, .. } = fitted.line;
+    let Lined { slope, per_slope, drop: d, chi2, mean_x, mean_y, .. } = fitted.line;
     let [v_slope, v_mean, cross] = fitted.covariance;
     let [t, t_slope] = fitted.quantiles;
     let per_gamma = one.all(1.0 / constants.gamma_near);
@@ -56,8 +56,6 @@ pub(super) fn judge<V: Lanes>(one: V, constants: &Constants, ours: bool, fitted:
     let sigma = fitted.slope_variance.root() * per_gamma;
     let width = t_slope * sigma;
     let negative = emissivity.below(zero);
-    let per_slope = one.all(1.0) / slope;
-    let d = mean_y * per_slope;
     let crossing = mean_x - d;
     let variance = v_mean - (cross + cross) * d + d * d * v_slope;
     // Fieller: a d² + 2 b d + c ≤ 0; the discriminant is expanded so that b² − a c does not cancel.
@@ -103,5 +101,6 @@ pub(super) fn judge<V: Lanes>(one: V, constants: &Constants, ours: bool, fitted:
         nan,
         nan,
     ];
-    Answer { channels, flags, asked: V::pick(silent, zero, one.all(1.0)) }
+    let asked = V::pick(silent, zero, one.all(f64::from(ASKED)));
+    Answer { channels, flags: flags + asked }
 }

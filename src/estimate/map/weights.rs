@@ -1,24 +1,25 @@
 //! Our own estimator for several pixels at once: the variance law, the weights that follow, and the sandwich of their
 //! uncertainty. See `law` for the reasons.
 
-use super::kernel::{ALONE, Constants, Group, Level, Scratch};
+use super::kernel::{ALONE, Constants, Ground, Group, Level, Scratch};
 use super::lanes::Lanes;
+use super::levels::Levels;
 use super::lines::{self, Lined, Place};
 use super::verdict::{Fitted, quantile};
 use crate::estimate::law::{PASSES, VARIANCE_MIN};
 
 /// Ours, for pixels with pooled variances at two levels at least. Others are marked.
 #[inline(always)]
-pub(super) fn ours<V: Lanes>(
-    one: V,
-    constants: &Constants,
+pub(super) fn ours<V: Lanes, L: Levels>(
+    ground: &Ground<'_, V>,
     group: &Group<V>,
-    scratch: &mut Scratch<V>,
+    scratch: &mut Scratch<V, L>,
 ) -> (Fitted<V>, V::Mask) {
+    let &Ground { one, constants, places, plain, .. } = ground;
     let (zero, unit) = (one.all(0.0), one.all(1.0));
     let least = one.all(VARIANCE_MIN);
-    let (places, levels, plain) = (&scratch.places[..], &scratch.levels[..], &scratch.plain);
-    let (values, weights) = (&scratch.means[..], &mut scratch.weights[..]);
+    let (levels, values) = (scratch.levels.as_ref(), scratch.means.as_ref());
+    let (weights, laws) = (scratch.weights.as_mut(), scratch.laws.as_mut());
     let defined = plain.defined(one);
     let first = (one.all(constants.x.first().copied().unwrap_or(0.0)), group.first_mean);
     let (centre, slope) = plain.slope(one, places, values);
@@ -26,7 +27,6 @@ pub(super) fn ours<V: Lanes>(
     let (low, high) = range(one, places);
     let mut pools = zero;
     let scale = unit / (group.flat * group.flat);
-    let laws = &mut scratch.laws[..];
     for ((law, level), place) in laws.iter_mut().zip(levels).zip(places) {
         let camera = camera_variance(one, constants, group, scale, level);
         let pooled = zero.at_most(level.pooled);
@@ -43,7 +43,8 @@ pub(super) fn ours<V: Lanes>(
     let (low, high) = (low - margin, high + margin);
     let mut sums = None;
     for _ in 0..PASSES {
-        let clipped = V::pick(crossing.finite(), crossing.larger(low).smaller(high), middle);
+        let clipped = V::pick(high.below(crossing), high, V::pick(crossing.below(low), low, crossing));
+        let clipped = V::pick(crossing.finite(), clipped, middle);
         let (mut aa, mut ab, mut bb, mut ay, mut by) = (zero, zero, zero, zero, zero);
         for (place, law) in places.iter().zip(laws.iter()) {
             let off = clipped - place.x;
@@ -68,7 +69,7 @@ pub(super) fn ours<V: Lanes>(
         sums = Some(of_pass);
     }
     let line = sums.expect("there are passes").line(one, places, values, weights);
-    let fitted = sandwich(one, constants, scratch, &line);
+    let fitted = sandwich(ground, scratch, &line);
     let alone = one.both(defined, pools.below(one.all(2.0)));
     (Fitted { flags: fitted.flags + one.bit(alone, ALONE), ..fitted }, defined)
 }
@@ -123,18 +124,19 @@ fn camera_variance<V: Lanes>(
 
 /// Variance of a line at its crossing that the camera's noise alone would give.
 #[inline(always)]
-pub(super) fn camera_noise<V: Lanes>(
-    one: V,
-    constants: &Constants,
+pub(super) fn camera_noise<V: Lanes, L: Levels>(
+    ground: &Ground<'_, V>,
     group: &Group<V>,
-    scratch: &Scratch<V>,
+    scratch: &Scratch<V, L>,
     line: &Lined<V>,
 ) -> V {
+    let &Ground { one, constants, places, .. } = ground;
     let zero = one.all(0.0);
     let scale = one.all(1.0) / (group.flat * group.flat);
-    let d = (zero - line.mean_y / line.slope) * line.per_spread;
+    let d = (zero - line.drop) * line.per_spread;
     let mut noise = zero;
-    for ((place, level), &w) in scratch.places.iter().zip(&scratch.levels).zip(&scratch.weights) {
+    let each = places.iter().zip(scratch.levels.as_ref()).zip(scratch.weights.as_ref());
+    for ((place, level), &w) in each {
         let at = w * (line.per_weight + d * (place.x - line.mean_x));
         let camera = camera_variance(one, constants, group, scale, level) * place.share;
         noise = noise + V::pick(zero.below(w), at * at * camera, zero);
@@ -164,15 +166,21 @@ fn both_positive<V: Lanes>(one: V, [aa, ab, bb, ay, by]: [V; 5]) -> (V, V) {
 /// Covariance from the pixel's own variances with a little of the law's, and Satterthwaite's degrees of freedom; the
 /// camera's noise is a floor for the whole.
 #[inline(always)]
-fn sandwich<V: Lanes>(one: V, constants: &Constants, scratch: &Scratch<V>, line: &Lined<V>) -> Fitted<V> {
+fn sandwich<V: Lanes, L: Levels>(
+    ground: &Ground<'_, V>,
+    scratch: &Scratch<V, L>,
+    line: &Lined<V>,
+) -> Fitted<V> {
+    let &Ground { one, constants, places, powers, .. } = ground;
     let zero = one.all(0.0);
     let law_freedom = one.all(crate::estimate::law::FREEDOM_LAW);
     let least = one.all(VARIANCE_MIN);
-    let d = zero - line.mean_y / line.slope;
+    let d = zero - line.drop;
     let mut own = [zero; 3];
     let mut floor = [zero; 3];
     let (mut crossing, mut crossing_2, mut slope_2, mut noise) = (zero, zero, zero, zero);
-    let each = scratch.places.iter().zip(&scratch.levels).zip(&scratch.weights).zip(&scratch.laws);
+    let (levels, weights) = (scratch.levels.as_ref(), scratch.weights.as_ref());
+    let each = places.iter().zip(levels).zip(weights).zip(scratch.laws.as_ref());
     for (((place, level), &w), law) in each {
         // Where the level is not there its weight, and with it every part, is 0.
         let squares = level.squares + law_freedom * law.variance;
@@ -212,8 +220,8 @@ fn sandwich<V: Lanes>(one: V, constants: &Constants, scratch: &Scratch<V>, line:
         slope_variance: V::pick(lower_slope, floor[0], own[0]),
         noise,
         quantiles: [
-            quantile(one, constants, &scratch.powers, inverse_freedoms[0]),
-            quantile(one, constants, &scratch.powers, inverse_freedoms[1]),
+            quantile(one, constants, powers, inverse_freedoms[0]),
+            quantile(one, constants, powers, inverse_freedoms[1]),
         ],
         flags: zero,
     }
