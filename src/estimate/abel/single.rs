@@ -1,11 +1,15 @@
 //! Rows that go alone: with missing pixels, an axis between the radii, or bounds. The operator is formed for the radii that
 //! are known, and variances follow from the weight of every pixel in every answer.
 
+use super::answer::Answer;
 use super::filtered::{self, cosines_seen, orthogonal, roughness};
 use super::fold::{Joined, Pixels};
+use super::inverter::{Inverter, Kernel};
 use super::matrix::{self, Matrix};
 use super::operators::hats;
-use super::{Answer, Inverter, Kernel, Method, Work, bounded, flag};
+use super::request::Method;
+use super::rows::Work;
+use super::{bounded, flag};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -134,7 +138,7 @@ fn operator(inverter: &Inverter, key: Key) -> Option<Matrix> {
             let strength = match kernel {
                 Kernel::Filtered(filtered) => filtered.choices[choice].strength,
                 Kernel::Fixed(_) => match inverter.settings.strength {
-                    super::Strength::Fixed(strength) => strength,
+                    super::choose::Strength::Fixed(strength) => strength,
                     _ => 0.0,
                 },
             };
