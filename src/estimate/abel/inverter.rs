@@ -1,10 +1,12 @@
 //! The operators of one width and axis: formed once, by method, and applied to any number of images.
 
-use super::answer::Answer;
+use super::answer;
+use super::bank::Bank;
 use super::choose::Strength;
 use super::filtered::{self, Filtered};
 use super::grid::Grid;
 use super::matrix::Matrix;
+use super::operator::Operator;
 use super::operators::{self, radius};
 use super::request::{AbelError, Columns, Method, Settings, check};
 use super::rows::Work;
@@ -33,28 +35,23 @@ pub struct Inverter {
     pub(super) kernel: Kernel,
 }
 
+/// What is applied to rows.
 #[derive(Debug, Clone)]
 pub(super) enum Kernel {
-    Fixed(Fixed),
-    Filtered(Filtered),
+    /// One operator for all rows, with its reach: columns nearer to the axis than by so many radii have no part in a radius;
+    /// None: all have.
+    Fixed(Operator, Option<usize>),
+    /// A strength for each row.
+    Bank(Box<Bank>),
 }
 
-/// One operator for all rows.
-#[derive(Debug, Clone)]
-pub(super) struct Fixed {
-    /// Row i belongs to radius i.
-    pub(super) operator: Matrix,
-    /// Its transpose, and that of its squares.
-    pub(super) across: Matrix,
-    pub(super) squares: Matrix,
-    /// Columns nearer to the axis than by this many radii have no part in a radius; None: all have.
-    pub(super) reach: Option<usize>,
-}
-
-impl Fixed {
-    pub(super) fn new(operator: Matrix, reach: Option<usize>) -> Self {
-        let across = operator.transposed();
-        Self { squares: across.squared(), across, operator, reach }
+impl Kernel {
+    /// The operator of one choice.
+    pub(super) fn operator(&self, choice: usize) -> &Operator {
+        match self {
+            Self::Fixed(operator, _) => operator,
+            Self::Bank(bank) => bank.operator(choice),
+        }
     }
 }
 
@@ -83,13 +80,11 @@ impl Inverter {
         };
         let grid = Grid::new(columns, axis.column);
         let (n, phase) = (grid.n, grid.phase);
-        let plain = |operator: Matrix, reach| Kernel::Fixed(Fixed::new(operator, Some(reach)));
-        let filtered = |filtered: Filtered| match fixed {
-            Some(_) if settings.method != Method::DaunNonNegative => {
-                Kernel::Fixed(Fixed::new(filtered.operator(0), None))
-            }
-            _ => Kernel::Filtered(filtered),
+        let shares = pixel_shares(&grid);
+        let plain = |operator: Matrix, reach| {
+            Kernel::Fixed(Operator::new(operator, Some(reach), &shares), Some(reach))
         };
+        let filtered = |filtered: Filtered| Kernel::Bank(Box::new(Bank::new(filtered, shares.clone())));
         let kernel = match settings.method {
             Method::ThreePoint => Some(plain(operators::three_point(n, phase), 1)),
             Method::OnionPeeling => {
@@ -133,17 +128,32 @@ impl Inverter {
             return Err(AbelError::Shape { values, sigmas, rows, columns: self.grid.columns });
         }
         let work = Work::prepare(&self.grid, image, memory);
-        let mut answer = Answer::empty(&work, self.grid.n, memory);
-        match &self.kernel {
-            Kernel::Fixed(fixed) => self.by_operator(&work, fixed, &mut answer),
-            Kernel::Filtered(filtered) => self.by_filter(&work, filtered, &mut answer),
-        }
+        let mut answer = answer::answers(self, &work, memory);
         answer.incomplete = single::answers(self, &work, &answer);
-        self.unfold(image, &work, &answer, out);
-        let (columns, variances) = (work.columns, work.variances);
-        *memory = Memory { columns, variances, answers: answer.values, answer_variances: answer.variances };
+        self.unfold(&work, &answer, out);
+        (memory.columns, memory.variances) = (work.columns, work.variances);
+        (memory.answers, memory.answer_variances) = (answer.values, answer.variances);
         Ok(())
     }
+
+    /// λ in pixel units or the number of cosines of a choice; NaN for a method without.
+    pub(super) fn strength(&self, choice: usize) -> f64 {
+        match &self.kernel {
+            Kernel::Fixed(..) => f64::NAN,
+            Kernel::Bank(bank) => bank.filtered.choices[choice].strength,
+        }
+    }
+
+    /// Variances of the radii, of complete halves, in variances of a pixel.
+    pub(super) fn pixel_shares(&self) -> Vec<f64> {
+        pixel_shares(&self.grid)
+    }
+}
+
+fn pixel_shares(grid: &Grid) -> Vec<f64> {
+    let on_axis = usize::from(grid.phase <= 0.0);
+    let both = on_axis..grid.right.1.min(grid.left.1);
+    (0..grid.n).map(|j| if both.contains(&j) { 0.5 } else { 1.0 }).collect()
 }
 
 /// Memory that images of one size can share.
@@ -153,4 +163,7 @@ pub struct Memory {
     pub(super) variances: Vec<f64>,
     pub(super) answers: Vec<f64>,
     pub(super) answer_variances: Vec<f64>,
+    pub(super) coefficients: Vec<f64>,
+    pub(super) narrow: Vec<f32>,
+    pub(super) narrow_coefficients: Vec<f32>,
 }

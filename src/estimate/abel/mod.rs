@@ -12,6 +12,7 @@
 //! complete (`single`), matrices (`matrix`), temperatures (`emission`).
 
 mod answer;
+mod bank;
 mod bounded;
 pub mod centre;
 mod choose;
@@ -23,10 +24,13 @@ mod grid;
 mod inverted;
 mod inverter;
 mod matrix;
+mod operator;
 mod operators;
+mod product;
 mod request;
 mod rows;
 mod single;
+mod singles;
 #[cfg(test)]
 mod tests;
 mod unfold;
