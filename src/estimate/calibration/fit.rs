@@ -2,6 +2,7 @@
 
 use super::band::Known;
 use super::least_squares::{column_norms, damped_step, dot, solve, upper_inverse};
+use super::prior;
 use super::residual::{self, Residual};
 use super::{C2_UM_K, CalibrationError, CalibrationPoint, Passband, Range, SakumaHattori};
 use crate::estimate::line;
@@ -146,22 +147,25 @@ fn fitted(
     check_number(points, (parameters - stated).max(2))?;
     let start = start(points, offset, known).ok_or(CalibrationError::NotABlackBody)?;
     let (best, iterations) = descend(points, start);
-    let Parameters { curve, offset_counts, .. } = best;
-    let finite = curve.a_counts.is_finite() && curve.a_um.is_finite() && curve.b_um_k.is_finite();
-    if !finite || curve.a_counts <= 0.0 || curve.a_um <= 0.0 {
+    if !best.is_black_body() {
         return Err(CalibrationError::NotABlackBody);
     }
+    let dof = points.len() + stated - parameters;
+    let (best, covariance) = match known {
+        Some(_) => (best, covariance(points, &best)),
+        None => in_any_band(points, best, dof),
+    };
+    let Parameters { curve, offset_counts, .. } = best;
     let residuals: Vec<f64> =
         points.iter().map(|p| p.counts - curve.value(p.temperature_k) - offset_counts).collect();
     let chi2 = best.chi2(points);
-    let dof = points.len() + stated - parameters;
     let residual =
         residual::is_demanded(chi2, dof).then(|| Residual::of(points, &residuals, &curve, dof)).flatten();
     let fold = |pick: fn(f64, f64) -> f64| points.iter().map(|p| p.temperature_k).fold(f64::NAN, pick);
     Ok(CalibrationFit {
         curve,
         offset_counts,
-        covariance: covariance(points, &best),
+        covariance,
         chi2,
         dof,
         residual,
@@ -170,6 +174,63 @@ fn fitted(
         iterations,
     })
 }
+
+/// Rounds of [`in_any_band`]: the second one is at the answer of the first, where curves bend less.
+const ROUNDS: usize = 3;
+
+/// χ² is below this by chance once in twenty fits.
+fn scatter_min(dof: usize) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "a number of points")]
+    let half = 0.5 * dof as f64;
+    // The lower end of the distribution: P(χ² < x) ≈ (x/2)^(dof/2)/Γ(dof/2 + 1).
+    2.0 * libm::exp((libm::log(0.05) + libm::lgamma(half + 1.0)) / half)
+}
+
+/// Parameters and covariance with what any camera's band says of b (`prior`), for parameters that the points alone give.
+///
+/// Not where there are no more points than parameters, nor where χ² says that the equation does not describe the points: b then
+/// stands for something else. Points that scatter less than any noise of their sigmas would are as good as they look: their
+/// sigmas count for as much less.
+fn in_any_band(points: &[CalibrationPoint], free: Parameters, dof: usize) -> (Parameters, [[f64; 4]; 4]) {
+    let chi2 = free.chi2(points);
+    let plain = covariance(points, &free);
+    if dof == 0 || residual::is_demanded(chi2, dof) {
+        return (free, plain);
+    }
+    let scatter = (chi2 / scatter_min(dof)).min(1.0);
+    let mut best = (free, plain);
+    let mut fitted = Known { value: free.curve.b_um_k, sigma: plain[2][2].sqrt() };
+    for _ in 0..ROUNDS {
+        let b = prior::b_of_any_band(Known { sigma: fitted.sigma * scatter.sqrt(), ..fitted });
+        let pin = Known { value: b.value, sigma: PIN * fitted.sigma };
+        let held = Parameters { known: Some([Known { value: 0.0, sigma: f64::INFINITY }, pin]), ..best.0 };
+        let (held, _) = descend(points, held);
+        if !held.is_black_body() {
+            break;
+        }
+        let at = Parameters { known: None, ..held };
+        let own = covariance(points, &at);
+        // b and what follows from it: the covariance of the others at a given b, and b's own.
+        let follows = own[2].map(|cell| cell / own[2][2]);
+        let more = b.sigma * b.sigma / scatter - own[2][2];
+        let with =
+            std::array::from_fn(|i| std::array::from_fn(|j| own[i][j] + more * follows[i] * follows[j]));
+        if !with.as_flattened().iter().all(|cell| cell.is_finite()) {
+            break;
+        }
+        best = (at, with);
+        // What the points say of b as seen from here.
+        let (rows, residuals) = linearised(points, &at);
+        let step = damped_step(&rows, &residuals, 0.0);
+        let w = at.curve.a_um * at.pivot_k + at.curve.b_um_k;
+        let value = at.curve.b_um_k + w * step[1] - at.pivot_k * step[2];
+        fitted = Known { value, sigma: own[2][2].sqrt() };
+    }
+    best
+}
+
+/// Standard deviation at which b is held, over that of the points: nothing pulls it off by more than a millionth.
+const PIN: f64 = 1e-3;
 
 /// Refuses fewer different temperatures than parameters.
 fn check_number(points: &[CalibrationPoint], needed: usize) -> Result<(), CalibrationError> {
@@ -215,6 +276,12 @@ impl Parameters {
             ([0.0, 0.0, 1.0 / a.sigma, 0.0], (a.value - a_um) / a.sigma),
             ([0.0, w / b.sigma, -self.pivot_k / b.sigma, 0.0], (b.value - b_um_k) / b.sigma),
         ])
+    }
+
+    fn is_black_body(&self) -> bool {
+        let SakumaHattori { a_counts, a_um, b_um_k } = self.curve;
+        let finite = a_counts.is_finite() && a_um.is_finite() && b_um_k.is_finite();
+        finite && a_counts > 0.0 && a_um > 0.0
     }
 
     /// Steps in (ln I(pivot), ln(a·pivot + b), a, offset). These are nearly independent, while A, a and b are

@@ -5,7 +5,7 @@
 //! it. Does not acquire calibrations and does not know which camera, lens or filter they belong to.
 //!
 //! In reading order: the curve and its range (`curve`), points to curve (`fit`, with its algebra in `least_squares`),
-//! what a known filter says of the curve before any point (`band`), what the equation leaves (`residual`), a short
+//! what a known filter and any band say of the curve before any point (`band`, `prior`), what the equation leaves (`residual`), a short
 //! curve on a long one (`mapping`).
 
 mod band;
@@ -13,6 +13,7 @@ mod curve;
 mod fit;
 mod least_squares;
 mod mapping;
+mod prior;
 mod residual;
 
 pub use band::Passband;
