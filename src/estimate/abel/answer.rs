@@ -157,7 +157,7 @@ fn residuals_double(work: &Work<'_>, bank: &Bank, order: &[usize], memory: &mut 
 mod tests {
     use super::super::centre::Axis;
     use super::super::operators::radius;
-    use super::super::request::{Columns, Method, Settings};
+    use super::super::request::{Columns, Elements, Method, Settings};
     use super::*;
 
     /// Columns of a Gaussian with `noise` (over its largest column) that is uniform.
@@ -184,7 +184,8 @@ mod tests {
                 let values = image(rows, columns, noise);
                 let axis = Axis { column: 60.0, sigma: 0.0, found: false };
                 let strength = Strength::Automatic;
-                let settings = Settings { method, strength, centre: None, pixel_m: 1.0 };
+                let elements = Elements::Linear;
+                let settings = Settings { method, elements, strength, centre: None, pixel_m: 1.0 };
                 let inverter = Inverter::new(columns, axis, &settings).unwrap();
                 let Kernel::Bank(bank) = &inverter.kernel else { panic!("a strength for each row") };
                 let mut memory = Memory::default();

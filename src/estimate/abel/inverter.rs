@@ -91,7 +91,9 @@ impl Inverter {
                 operators::rings(n, phase).upper_inverse().map(|operator| plain(operator, 0))
             }
             Method::HansenLaw => Some(plain(operators::hansen_law(n, phase), 2)),
-            Method::Daun | Method::DaunNonNegative => filtered::daun(n, phase, fixed).map(filtered),
+            Method::Daun | Method::DaunNonNegative => {
+                filtered::daun(n, phase, settings.elements, fixed).map(filtered)
+            }
             Method::Basex => filtered::basex(n, phase, fixed).map(filtered),
             Method::Fourier => Some(filtered(filtered::fourier(n, phase, fixed))),
         };

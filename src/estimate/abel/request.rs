@@ -10,7 +10,7 @@ pub enum Method {
     ThreePoint,
     /// Rings of constant coefficient, peeled outside in.
     OnionPeeling,
-    /// Linear elements, regularised by the differences of neighbours.
+    /// Elements of some degree, regularised by the differences of neighbours.
     Daun,
     /// The same without negative values.
     DaunNonNegative,
@@ -53,6 +53,30 @@ impl Method {
     }
 }
 
+/// What Daun's method makes the coefficient of, one element a radius.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Elements {
+    /// Rings of one value each: degree 0.
+    Steps,
+    /// Straight lines from value to value: degree 1.
+    Linear,
+    /// Two parabolas a pixel: degree 2.
+    Quadratic,
+    /// A cubic spline: degree 3.
+    Cubic,
+}
+
+impl Elements {
+    /// All of them, by degree.
+    pub const ALL: [Self; 4] = [Self::Steps, Self::Linear, Self::Quadratic, Self::Cubic];
+
+    /// The elements of a degree, 0 … 3.
+    pub fn of_degree(degree: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(degree)).copied()
+    }
+}
+
 /// Columns of an image.
 #[derive(Debug, Clone, Copy)]
 pub struct Columns<'a> {
@@ -71,6 +95,8 @@ pub struct Columns<'a> {
 pub struct Settings {
     /// How.
     pub method: Method,
+    /// Of what elements, for Daun's method.
+    pub elements: Elements,
     /// How strongly, for methods that have a strength.
     pub strength: Strength,
     /// The axis in columns, 0 … columns − 1; None finds it.

@@ -2,11 +2,11 @@
 //! are known, and variances follow from the weight of every pixel in every answer.
 
 use super::answer::Answer;
+use super::elements;
 use super::filtered::{self, cosines_seen, orthogonal, roughness};
 use super::fold::{Joined, Pixels};
 use super::inverter::{Inverter, Kernel};
 use super::matrix::{self, Matrix};
-use super::operators::hats;
 use super::request::Method;
 use super::rows::Work;
 use super::{bounded, flag};
@@ -168,7 +168,7 @@ fn operator(inverter: &Inverter, key: Key) -> Option<Matrix> {
                     Some(both.meaning.times(&both.basis.transposed()))
                 }
                 _ => {
-                    let Quadratic { a, quadratic, .. } = Quadratic::of(n, phase, from, to, strength);
+                    let Quadratic { a, quadratic, .. } = Quadratic::new(inverter, key);
                     matrix::solve_positive(&quadratic, &a.transposed())
                 }
             }
@@ -176,7 +176,7 @@ fn operator(inverter: &Inverter, key: Key) -> Option<Matrix> {
     }
 }
 
-/// |A f − p|² + λ |L f|² of linear elements on the radii `from` ‥ `to`.
+/// |A f − p|² + λ |L f|² on the radii `from` ‥ `to`.
 struct Quadratic {
     a: Matrix,
     quadratic: Matrix,
@@ -185,12 +185,9 @@ struct Quadratic {
 impl Quadratic {
     fn new(inverter: &Inverter, key: Key) -> Self {
         let (from, to, choice) = key;
-        Self::of(inverter.grid.n, inverter.grid.phase, from, to, inverter.strength(choice))
-    }
-
-    fn of(n: usize, phase: f64, from: usize, to: usize, strength: f64) -> Self {
-        let hats = hats(n, phase);
-        let a = Matrix::from_fn(to - from, to - from, |i, j| hats.at(from + i, from + j));
+        let (grid, strength) = (&inverter.grid, inverter.strength(choice));
+        let whole = elements::columns(inverter.settings.elements, grid.n, grid.phase);
+        let a = elements::part(&whole, from, to);
         let mut quadratic = a.transposed().times(&a);
         let rough = roughness(to - from);
         quadratic.values.iter_mut().zip(&rough.values).for_each(|(v, rough)| *v += strength * rough);

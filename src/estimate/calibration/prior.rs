@@ -23,8 +23,8 @@ const WIDTHS: u32 = 400;
 /// Mean and standard deviation of b, in µm K, when points alone say `fitted`.
 ///
 /// The part of the variance that comes from what bands are like counts twice. One camera has one band: where its points say
-/// nothing b is off by up to 1.0 (narrow bands) or 1.6 (7.5 … 14 µm) standard deviations of all bands in every calibration, and
-/// 0.7 or 1.1 of what is told.
+/// nothing b is off by 1.1 (narrow bands) or 1.5 (7.5 … 14 µm) standard deviations of all bands in every calibration, and 0.8
+/// or 1.1 of what is told.
 pub(super) fn b_of_any_band(fitted: Known) -> Known {
     let (soft, own) = (SOFT_UM_K * SOFT_UM_K, fitted.sigma * fitted.sigma);
     // For a width b is normal about its own value, and so is what the points say of it.
