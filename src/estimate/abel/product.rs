@@ -295,10 +295,24 @@ mod tests {
         out
     }
 
-    fn product<T: Number>(left: &Matrix, order: &[usize], right: &Packed<T>) -> Vec<T> {
+    fn product<T: Number + Into<f64>>(left: &Matrix, order: &[usize], right: &Packed<T>) -> Vec<T> {
         let left: Vec<T> = left.values.iter().map(|&v| T::rounded(v)).collect();
         let mut out = vec![T::rounded(f64::NAN); order.len() * right.columns];
-        multiply(&Rows { values: &left, stride: right.rows, order, depth: right.rows }, right, &mut out);
+        let rows = Rows { values: &left, stride: right.rows, order, depth: right.rows };
+        multiply(&rows, right, &mut out);
+        if !out.is_empty() && right.rows > 0 {
+            // As on a machine without vectors, and with narrower ones.
+            let bits = |values: &[T]| values.iter().map(|&v| v.into().to_bits()).collect::<Vec<u64>>();
+            let mut other = vec![T::rounded(f64::NAN); out.len()];
+            pulp::Simd::vectorize(pulp::Scalar::new(), Product { left: &rows, right, out: &mut other });
+            assert_eq!(bits(&out), bits(&other));
+            #[cfg(target_arch = "x86_64")]
+            if let Some(narrow) = pulp::x86::V3::try_new() {
+                other.fill(T::rounded(f64::NAN));
+                pulp::Simd::vectorize(narrow, Product { left: &rows, right, out: &mut other });
+                assert_eq!(bits(&out), bits(&other));
+            }
+        }
         out
     }
 
