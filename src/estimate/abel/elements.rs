@@ -66,12 +66,11 @@ fn along_sights<const N: usize>(
 /// Two parabolas a pixel, which meet half way with one slope: a value's own falls as 1 − 2t² and ends as 2(1 − t)².
 fn quadratics(n: usize, phase: f64) -> Matrix {
     let mut out = Matrix::zeros(n, n);
-    let halves: [((f64, f64), fn(f64) -> f64); 2] =
-        [((0.0, 0.5), |t| 1.0 - 2.0 * t * t), ((0.5, 1.0), |t| 2.0 * (1.0 - t) * (1.0 - t))];
-    for (part, own) in halves {
+    let own = |t: f64| if t < 0.5 { 1.0 - 2.0 * t * t } else { 2.0 * (1.0 - t) * (1.0 - t) };
+    for half in [(0.0, 0.5), (0.5, 1.0)] {
         along_sights(
             (n, phase),
-            part,
+            half,
             |t| [own(t), 1.0 - own(t)],
             |i, j, [own, next]| {
                 out.row_mut(i)[j] += own;
