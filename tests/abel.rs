@@ -3,7 +3,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
-use ditd::estimate::abel::{Columns, Inverted, Method, Settings, Strength, emission, invert};
+use ditd::estimate::abel::{Columns, Elements, Inverted, Method, Settings, Strength, emission, invert};
 use ditd::estimate::calibration::SakumaHattori;
 use ditd::files::npy::{self, Array, Values};
 use ditd::files::npz;
@@ -26,8 +26,12 @@ fn mirrored(half: &[f64], shared: bool) -> Vec<f64> {
 }
 
 fn run(columns: &[f64], method: Method, strength: Strength, pixel_m: f64) -> Inverted {
+    run_of(Elements::Linear, columns, method, strength, pixel_m)
+}
+
+fn run_of(elements: Elements, columns: &[f64], method: Method, strength: Strength, pixel_m: f64) -> Inverted {
     let image = Columns { values: columns, sigmas: None, rows: 1, columns: columns.len() };
-    invert(&image, &Settings { method, strength, centre: None, pixel_m }).unwrap()
+    invert(&image, &Settings { method, elements, strength, centre: None, pixel_m }).unwrap()
 }
 
 /// The same operators as PyAbel: the axis is found, and every radius agrees to the digits of the file; the strengths that
@@ -58,6 +62,41 @@ fn operators_are_those_of_pyabel() {
                 let close = (got - want).abs() < bound * scale;
                 assert!(close, "{} {name} {strength:?}: {got} {want}", pair["name"]);
             }
+        }
+    }
+}
+
+/// Daun's elements of every degree, with and without a strength, are PyAbel's; so is Hansen and Law's recursion of the first
+/// order (`hold_order = 1`) but on the axis and at the last two radii, which PyAbel repeats from their neighbours. Degree 3 is
+/// good to 1e-8 there: PyAbel's closed forms cancel.
+#[test]
+fn elements_of_every_degree_are_those_of_pyabel() {
+    let all = pairs();
+    for pair in all["pairs"].as_array().unwrap() {
+        let odd = &pair["odd"];
+        let columns = mirrored(&numbers(&odd["p"]), true);
+        let dr = odd["dr"].as_f64().unwrap();
+        let cases = [
+            ("daun_degree_0", Elements::Steps, 0.0, 1e-9),
+            ("daun", Elements::Linear, 0.0, 1e-9),
+            ("daun_degree_2", Elements::Quadratic, 0.0, 1e-9),
+            ("daun_degree_3", Elements::Cubic, 0.0, 1e-8),
+            ("daun_degree_3_100", Elements::Cubic, 100.0, 1e-8),
+        ];
+        for (name, elements, strength, bound) in cases {
+            let found = run_of(elements, &columns, Method::Daun, Strength::Fixed(strength), dr);
+            let wanted = mirrored(&numbers(&pair["methods"][name]), true);
+            let scale = wanted.iter().fold(1.0_f64, |a, v| a.max(v.abs()));
+            for (got, want) in found.alpha_per_m.iter().zip(&wanted) {
+                assert!((got - want).abs() < bound * scale, "{} {name}: {got} {want}", pair["name"]);
+            }
+        }
+        let found = run(&columns, Method::HansenLaw, Strength::Automatic, dr);
+        let wanted = numbers(&pair["methods"]["hansenlaw"]);
+        let scale = wanted.iter().fold(1.0_f64, |a, v| a.max(v.abs()));
+        for (i, want) in wanted.iter().enumerate().take(wanted.len() - 2).skip(1) {
+            let got = found.alpha_per_m[wanted.len() - 1 + i];
+            assert!((got - want).abs() < 1e-9 * scale, "{} hansenlaw {i}: {got} {want}", pair["name"]);
         }
     }
 }
@@ -112,7 +151,8 @@ fn smooth_hollow_profiles_with_noise_are_found_by_cosines() {
     let sigmas = vec![noise; values.len()];
     let rms = |method: Method, sigmas: Option<&[f64]>| {
         let image = Columns { values: &values, sigmas, rows, columns };
-        let wanted = Settings { method, strength: Strength::Automatic, centre: Some(320.0), pixel_m: 1.0 };
+        let (elements, strength) = (Elements::Linear, Strength::Automatic);
+        let wanted = Settings { method, elements, strength, centre: Some(320.0), pixel_m: 1.0 };
         let found = invert(&image, &wanted).unwrap();
         let (mut sum, mut in_sigmas, mut count) = (0.0, 0.0, 0.0);
         for row in 0..rows {
@@ -160,7 +200,8 @@ fn temperatures_inside_a_dense_medium_come_back() {
     }
     let image = |values| Columns { values, sigmas: None, rows: 1, columns };
     for method in [Method::ThreePoint, Method::Daun, Method::Fourier] {
-        let wanted = Settings { method, strength: Strength::Automatic, centre: None, pixel_m: pixel };
+        let (elements, strength) = (Elements::Linear, Strength::Automatic);
+        let wanted = Settings { method, elements, strength, centre: None, pixel_m: pixel };
         let found = invert(&image(&depth), &wanted).unwrap();
         let sources = emission::sources(&image(&light), &found, pixel).unwrap();
         for c in 40..121 {
@@ -263,6 +304,13 @@ fn the_command_reads_columns_and_emissivities() {
         );
     }
     assert_eq!(ditd(&["abel", &input, "--method", "basex", "--non-negative"]).status.code(), Some(2));
+    let (smooth, .., summary) = image("column.npy", &["--degree", "3", "--strength", "0"]);
+    assert_eq!(summary["elements"], "cubic");
+    // A spline follows a Gaussian of ten pixels to its fourth derivative, 12/10⁴ times a few hundredths.
+    assert!((smooth.to_f64()[30] / peak - 1.0).abs() < 1e-4, "{}", smooth.to_f64()[30] / peak);
+    for wrong in [["--method", "fourier", "--degree", "1"], ["--method", "daun", "--degree", "4"]] {
+        assert_eq!(ditd(&[&["abel", input.as_str()], wrong.as_slice()].concat()).status.code(), Some(2));
+    }
 }
 
 /// A map is inverted when asked for, with temperatures of the size of the map's, and the map stays as it was.

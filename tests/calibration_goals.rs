@@ -75,11 +75,11 @@ fn five_exact_points_come_back_to_a_millikelvin() {
 /// The pass band of the curve's filter as a data sheet would state it.
 const BAND: Passband = Passband { centre_um: 3.40, fwhm_um: 0.12 };
 
-/// 0.15 counts and 0.1 % of noise, 0.05 K of plate, as the rms over 200 draws: below 0.15 K with the offset known. With
-/// the offset free too many parameters meet ten points for 0.25 K (Cramér–Rao: 0.31 K); the filter's data sheet holds
-/// the exponent, whatever the centre is off within its tolerance. In all cases no more than what the points can give,
-/// which the fit's own covariance says; an rms of 200 draws of three or four parameters is good to 4 %, and small steps of
-/// noisy curves leave out their second order.
+/// 0.15 counts and 0.1 % of noise, 0.05 K of plate, as the rms over 200 draws: below 0.15 K with the offset known, and below
+/// 0.25 K with the offset free, where points alone cannot do better than 0.31 K (Cramér–Rao) and what holds for any band helps;
+/// the filter's data sheet holds the exponent better, whatever the centre is off within its tolerance. In all cases no
+/// more than what the fit's own covariance promises; an rms of 200 draws of three or four parameters is good to 4 %, and
+/// small steps of noisy curves leave out their second order.
 #[test]
 fn ten_noisy_points_are_good_for_a_fraction_of_a_kelvin() {
     let truth = SakumaHattori { a_counts: 7.2e5, a_um: 3.4, b_um_k: 1.5 };
@@ -105,7 +105,7 @@ fn ten_noisy_points_are_good_for_a_fraction_of_a_kelvin() {
     let cases: [(&str, Fit<'_>, OffsetMode, f64); 4] = [
         ("offset known", &bare, known, 0.15),
         ("offset known, band stated", &stated, known, 0.15),
-        ("offset free", &bare, OffsetMode::Free, 0.35),
+        ("offset free", &bare, OffsetMode::Free, 0.25),
         ("offset free, band stated", &stated, OffsetMode::Free, 0.25),
     ];
     for (name, fit, mode, bound) in cases {
@@ -131,9 +131,86 @@ fn ten_noisy_points_are_good_for_a_fraction_of_a_kelvin() {
         let promised = (promised / 200.0_f64).sqrt();
         eprintln!("{name}: {rms:.3} K rms, {promised:.3} K promised");
         assert!(rms < bound, "{name}: {rms} K");
-        // A stated band is given twice the tolerance of this test: what it promises is on the safe side.
-        let honest = if name.ends_with("stated") { 0.6..1.15 } else { 0.85..1.15 };
+        // A stated band is given twice the tolerance of this test, and what holds for any band counts twice in the
+        // variance: what they promise is on the safe side.
+        let honest = if name.ends_with("stated") { 0.6..1.15 } else { 0.7..1.15 };
         assert!(honest.contains(&(rms / promised)), "{name}: {rms} {promised}");
+    }
+}
+
+/// Counts of a black body through a response of 1 from `low` to `high`, in µm, and of `leak` from 1 to 6: 100 at 449 K.
+fn through(low: f64, high: f64, leak: f64) -> impl Fn(f64) -> f64 {
+    let midpoints = |low: f64, high: f64, share: f64| {
+        let step = (high - low) / 2000.0;
+        (0..2000).map(move |k| (low + (f64::from(k) + 0.5) * step, share * step))
+    };
+    let nodes: Vec<(f64, f64)> = midpoints(low, high, 1.0).chain(midpoints(1.0, 6.0, leak)).collect();
+    let sum = move |t: f64| {
+        let c2 = ditd::estimate::calibration::C2_UM_K;
+        nodes.iter().map(|(l, w)| w * l.powi(-4) / (c2 / (l * t)).exp_m1()).sum::<f64>()
+    };
+    let unit = 100.0 / sum(449.0);
+    move |t| unit * sum(t)
+}
+
+/// What is taken to hold for any band holds for bands from an interference filter to all of the long waves: with noise as above,
+/// offset free, the stated sigmas hold errors as often as they say or more (150 draws of some independent errors each: 5 % of
+/// 68 and 95), and points without noise come back as well as the equation follows the band, whatever was said of bands.
+#[test]
+fn bands_of_all_widths_keep_what_the_fit_promises() {
+    let mut state = 29_u64;
+    let mut normal = move || {
+        let sum: f64 = (0..12)
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                f64::from(u32::try_from(state >> 32).unwrap()) / 4_294_967_296.0
+            })
+            .sum();
+        sum - 6.0
+    };
+    // What the equation leaves of ten clean points, in mK.
+    let bands = [
+        ("3.34 … 3.46", through(3.34, 3.46, 0.0), 1.0),
+        ("the same, leaking", through(3.34, 3.46, 1e-4), 40.0),
+        ("3.8 … 4.0", through(3.8, 4.0, 0.0), 1.0),
+        ("3.7 … 4.8", through(3.7, 4.8, 0.0), 25.0),
+        ("8 … 12", through(8.0, 12.0, 0.0), 30.0),
+        ("7.5 … 14", through(7.5, 14.0, 0.0), 80.0),
+    ];
+    for (name, signal, misfit_mk) in &bands {
+        let mut clean = points(signal, 10);
+        clean.iter_mut().for_each(|point| point.counts += 1500.0);
+        let exact = fit_curve(&clean, OffsetMode::Free).unwrap();
+        let error = 1e3 * rms(&exact.curve, signal);
+        assert!(error < *misfit_mk, "{name}: {error} mK");
+        let slope = |t: f64| (signal(t + 0.05) - signal(t - 0.05)) / 0.1;
+        let slopes: Vec<f64> = clean.iter().map(|point| slope(point.temperature_k)).collect();
+        let asked = [350.0, 400.0, 450.0, 500.0, 550.0, 600.0].map(|t| (t, signal(t), slope(t)));
+        let (mut held, mut held_95, mut squares, mut promised, mut all) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for _ in 0..150 {
+            let mut noisy = clean.clone();
+            for (point, slope) in noisy.iter_mut().zip(&slopes) {
+                let sigma = 0.15_f64.hypot(1e-3 * (point.counts - 1500.0));
+                point.counts += sigma * normal() + slope * 0.05 * normal();
+                point.sigma_counts = sigma.hypot(slope * 0.05);
+            }
+            let fit = fit_curve(&noisy, OffsetMode::Free).unwrap();
+            for (t, counts, slope) in asked {
+                let error = (fit.curve.inverse(counts) - t).abs();
+                let sigma = fit.sigma_counts(t) / slope;
+                held += f64::from(u8::from(error < sigma));
+                held_95 += f64::from(u8::from(error < 1.96 * sigma));
+                squares += error * error;
+                promised += sigma * sigma;
+                all += 1.0;
+            }
+        }
+        let (rms, promised) = ((squares / all).sqrt(), (promised / all).sqrt());
+        let (held, held_95) = (held / all, held_95 / all);
+        eprintln!("{name}: {rms:.3} K rms, {promised:.3} K promised, {held:.3} and {held_95:.3} held");
+        assert!(held_95 > 0.92 && rms < 1.1 * promised, "{name}: {held_95} {rms} {promised}");
+        // A band at the end of the range of bands is off in one direction: fewer within one sigma, none far out.
+        assert!(held > if *name == "7.5 … 14" { 0.5 } else { 0.63 }, "{name}: {held}");
     }
 }
 

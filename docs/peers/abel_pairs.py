@@ -34,6 +34,9 @@ for name in [f"profile{k}" for k in range(1, 8)] + ["gaussian"]:
         "onion_peeling": abel.dasch.onion_peeling_transform(p, dr=dr, basis_dir=None),
         "daun": abel.daun.daun_transform(p, dr=dr, degree=1, verbose=False),
         "daun_100": abel.daun.daun_transform(p, dr=dr, degree=1, reg=("diff", 100), verbose=False),
+        **{f"daun_degree_{k}": abel.daun.daun_transform(p, dr=dr, degree=k, verbose=False) for k in (0, 2, 3)},
+        "daun_degree_3_100": abel.daun.daun_transform(p, dr=dr, degree=3, reg=("diff", 100), verbose=False),
+        "hansenlaw": abel.hansenlaw.hansenlaw_transform(p, dr=dr, direction="inverse", hold_order=1),
         "basex": abel.basex.basex_transform(p, dr=dr, basis_dir=None, verbose=False),
         "basex_10": abel.basex.basex_transform(p, dr=dr, reg=10, basis_dir=None, verbose=False),
     }

@@ -1,7 +1,7 @@
 //! `ditd abel`: inverse Abel transform of columns about a vertical axis.
 
 use super::{CommandError, CommandResult, print};
-use crate::estimate::abel::{self, Columns, Inverted, Method, Settings, Strength, emission, flag};
+use crate::estimate::abel::{self, Columns, Elements, Inverted, Method, Settings, Strength, emission, flag};
 use crate::estimate::column::Growth;
 use crate::files::npy::{self, Array, Values};
 use crate::files::npz::{self, Packing};
@@ -56,6 +56,9 @@ pub(super) struct How {
     /// Daun's method without negative values
     #[arg(long)]
     pub(super) non_negative: bool,
+    /// Daun's method with elements of this degree: 0 steps, 1 straight lines (if not given), 2 parabolas, 3 a cubic spline
+    #[arg(long, value_name = "DEGREE", value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub(super) degree: Option<u8>,
     /// Curve of growth of the absorber in the band: CSV with columns weight (response times plate light) and k (absorption)
     #[arg(long, value_name = "FILE.csv")]
     pub(super) growth: Option<PathBuf>,
@@ -69,7 +72,7 @@ pub(super) enum MethodName {
     ThreePoint,
     /// Rings, peeled outside in
     OnionPeeling,
-    /// Linear elements, regularised by the differences of neighbours
+    /// Elements of --degree, regularised by the differences of neighbours
     Daun,
     /// Gaussian-like shells, regularised by their amplitudes
     Basex,
@@ -110,7 +113,14 @@ impl How {
             (MethodName::Fourier, _) => Method::Fourier,
             (MethodName::HansenLaw, _) => Method::HansenLaw,
         };
-        Ok(Settings { method, strength: self.strength, centre: self.centre, pixel_m: self.pixel_m })
+        let elements = match (self.degree, method) {
+            (None, _) => Elements::Linear,
+            (Some(degree), Method::Daun | Method::DaunNonNegative) => Elements::of_degree(degree)
+                .ok_or_else(|| CommandError::usage("abel: --degree is 0, 1, 2 or 3."))?,
+            (Some(_), _) => return Err(CommandError::usage("abel: --degree goes with --method daun.")),
+        };
+        let Self { strength, centre, pixel_m, .. } = *self;
+        Ok(Settings { method, elements, strength, centre, pixel_m })
     }
 
     /// The curve of growth that was given, or a gray band's.
@@ -243,6 +253,7 @@ pub(super) fn summary(found: &Inverted, settings: &Settings) -> Value {
     json!({
         "schema": 1,
         "method": settings.method.name(),
+        "elements": matches!(settings.method, Method::Daun | Method::DaunNonNegative).then_some(settings.elements),
         "rows": found.rows,
         "columns": found.columns,
         "pixel_m": settings.pixel_m,

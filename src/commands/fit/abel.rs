@@ -28,6 +28,9 @@ pub(super) struct AbelArgs {
     /// Daun's method without negative values
     #[arg(long, requires = "abel")]
     abel_non_negative: bool,
+    /// Degree of the elements of Daun's method, 0 … 3, as in `ditd abel`
+    #[arg(long, requires = "abel", value_name = "DEGREE", value_parser = clap::value_parser!(u8).range(0..=3))]
+    abel_degree: Option<u8>,
     /// Curve of growth of the absorber in the band, as in `ditd abel`; without it the medium counts as gray
     #[arg(long, value_name = "FILE.csv", requires = "abel")]
     abel_growth: Option<PathBuf>,
@@ -48,6 +51,7 @@ pub(super) fn inverted(args: &AbelArgs, out: &Path) -> Result<String, CommandErr
         centre: args.abel_centre,
         strength: args.abel_strength,
         non_negative: args.abel_non_negative,
+        degree: args.abel_degree,
         growth: args.abel_growth.clone(),
     };
     let settings = how.settings(method)?;

@@ -1,8 +1,8 @@
 //! How strong to regularise: by what the data themselves say, for every row with its neighbours.
 
 use super::filtered::Filtered;
-use super::matrix::{self, Matrix};
 use super::operators::radius;
+use super::product::Number;
 
 /// Rows on each side that have a say in the strength of a row: sprays change slowly along their axis, and the score of one
 /// row of a few hundred columns is a noisy guide.
@@ -32,8 +32,6 @@ pub enum Strength {
 
 /// What a row says.
 pub(super) struct Said<'a> {
-    /// Coefficients in the basis, `[rows · members]`.
-    pub(super) coefficients: &'a [f64],
     /// Σ of the squared columns of each row.
     pub(super) squares: &'a [f64],
     /// Σ of their variances by the data themselves; NaN where nothing tells it.
@@ -42,27 +40,26 @@ pub(super) struct Said<'a> {
     pub(super) given: Option<&'a [f64]>,
 }
 
-/// A choice for every row, and in how many the discrepancy principle had no answer.
-pub(super) fn choices(filtered: &Filtered, said: &Said<'_>, n: usize) -> (Vec<usize>, usize) {
+/// What every choice leaves of every row.
+pub(super) struct Residuals<T> {
+    /// Sums of squares, `[rows · choices]`.
+    pub(super) each: Vec<T>,
+    /// Their unit.
+    pub(super) unit: f64,
+    /// They are not told to better than this part of the squares of the columns.
+    pub(super) least: f64,
+}
+
+/// A choice for every row, and in how many the discrepancy principle had no answer. None if residuals are too small to be
+/// told.
+pub(super) fn choices<T: Number + Into<f64>>(
+    filtered: &Filtered,
+    residuals: &Residuals<T>,
+    said: &Said<'_>,
+    n: usize,
+) -> Option<(Vec<usize>, usize)> {
     let rows = said.squares.len();
-    let members = filtered.analysis.columns;
     let count = filtered.choices.len();
-    if count == 1 {
-        return (vec![0; rows], 0);
-    }
-    // Residual squares: Σ (1 − φ)² c² and what the basis does not hold.
-    let squares: Vec<f64> = said.coefficients.iter().map(|c| c * c).collect();
-    let left =
-        Matrix::from_fn(members, count, |k, choice| (1.0 - filtered.choices[choice].filter[k]).powi(2));
-    let mut residuals = vec![0.0; rows * count];
-    matrix::multiply(&squares, members, &left, None, &mut residuals);
-    if !filtered.complete {
-        let held = squares.chunks(members).map(|c| c.iter().sum::<f64>());
-        for ((residuals, held), whole) in residuals.chunks_mut(count).zip(held).zip(said.squares) {
-            let rest = (whole - held).max(0.0);
-            residuals.iter_mut().for_each(|residual| *residual += rest);
-        }
-    }
     let freedoms: Vec<f64> = filtered.choices.iter().map(super::filtered::Choice::freedom).collect();
     let n = radius(n, 0.0);
     let prices: Vec<f64> = freedoms
@@ -72,20 +69,19 @@ pub(super) fn choices(filtered: &Filtered, said: &Said<'_>, n: usize) -> (Vec<us
             if left > 0.0 { 1.0 / libm::pow(left, 2.0 * PRICE) } else { f64::INFINITY }
         })
         .collect();
-    let mut failed = 0;
+    let (mut failed, mut untold) = (0, false);
     let each = (0..rows).map(|row| {
         let window = row.saturating_sub(NEIGHBOURS)..(row + NEIGHBOURS + 1).min(rows);
         let mut pooled = vec![0.0; count];
-        for row in window.clone() {
-            let residuals = &residuals[row * count..(row + 1) * count];
-            pooled.iter_mut().zip(residuals).for_each(|(sum, residual)| *sum += residual);
-        }
+        pulp::Arch::new().dispatch(Pool { residuals, rows: window.clone(), pooled: &mut pooled });
         let measured = noise_of(said.measured, window.clone());
         let mut by_itself = cross_validated(&pooled, &prices);
         // Data without noise do not tell a strength: residuals far beyond what halves or neighbours differ are bias.
         while by_itself > 0 && pooled[by_itself] > BIAS_MAX * measured {
             by_itself -= 1;
         }
+        let columns: f64 = said.squares[window.clone()].iter().sum();
+        untold |= pooled[by_itself] < residuals.least * columns;
         let Some(given) = said.given else { return by_itself };
         let whole = noise_of(given, window.clone());
         // Squares of as many residuals scatter by √(2/number); a fit takes its share of the noise away.
@@ -102,7 +98,26 @@ pub(super) fn choices(filtered: &Filtered, said: &Said<'_>, n: usize) -> (Vec<us
         }
     });
     let found = each.collect();
-    (found, failed)
+    (!untold).then_some((found, failed))
+}
+
+/// Sums the residuals of some rows, choice by choice.
+struct Pool<'a, T> {
+    residuals: &'a Residuals<T>,
+    rows: std::ops::Range<usize>,
+    pooled: &'a mut [f64],
+}
+
+impl<T: Number + Into<f64>> pulp::WithSimd for Pool<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let count = self.pooled.len();
+        for row in self.residuals.each[self.rows.start * count..self.rows.end * count].chunks(count) {
+            self.pooled.iter_mut().zip(row).for_each(|(sum, residual)| *sum += (*residual).into());
+        }
+        self.pooled.iter_mut().for_each(|sum| *sum *= self.residuals.unit);
+    }
 }
 
 /// What is known of the noise in some rows; NaN if it is known of none.

@@ -7,12 +7,13 @@
 //! through exactly for the seen light, linearly for α in j/α. That α's error also shifts the attenuation is left out: it
 //! changes j by at most the depth times α's relative error.
 
+use super::Inverted;
 use super::flag;
 use super::fold::{self, Pixels};
 use super::grid::Grid;
 use super::matrix::Matrix;
 use super::operators::radius;
-use super::{AbelError, Columns, Inverted, check};
+use super::request::{AbelError, Columns, check};
 use rayon::prelude::*;
 
 /// Standard deviations that α must be above zero for a source to be told.

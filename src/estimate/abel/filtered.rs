@@ -3,8 +3,10 @@
 //! f = synthesis · φ(strength) · analysis · p. All strengths share one analysis, so that a strength can be found for
 //! every row from the squares of its coefficients alone.
 
+use super::elements;
 use super::matrix::{self, Matrix};
-use super::operators::{hats, radius};
+use super::operators::radius;
+use super::request::Elements;
 use ditd_sim::light::quadrature::gauss_legendre_unit;
 use std::f64::consts::PI;
 
@@ -81,10 +83,10 @@ pub(super) fn roughness(n: usize) -> Matrix {
     })
 }
 
-/// Tikhonov's regularisation with the differences of neighbours, on linear elements (K. J. Daun et al.,
-/// Appl. Opt. 45, 4638 (2006)): |A f − p|² + λ |L f|² is least.
-pub(super) fn daun(n: usize, phase: f64, fixed: Option<f64>) -> Option<Filtered> {
-    let inverse = hats(n, phase).upper_inverse()?;
+/// Tikhonov's regularisation with the differences of neighbours (K. J. Daun et al., Appl. Opt. 45, 4638 (2006)):
+/// |A f − p|² + λ |L f|² is least.
+pub(super) fn daun(n: usize, phase: f64, of: Elements, fixed: Option<f64>) -> Option<Filtered> {
+    let inverse = elements::inverse(of, &elements::columns(of, n, phase))?;
     // With q = A f: |q − p|² + λ qᵀ K q, K = A⁻ᵀ LᵀL A⁻¹ = V μ Vᵀ, so that q = V (1 + λμ)⁻¹ Vᵀ p.
     let k = inverse.transposed().times(&roughness(n).times(&inverse));
     let k = Matrix::from_fn(n, n, |i, j| 0.5 * (k.at(i, j) + k.at(j, i)));
@@ -291,6 +293,7 @@ pub(super) fn orthogonal(seen: &Matrix, own: &Matrix, from: usize) -> Orthogonal
 
 #[cfg(test)]
 mod tests {
+    use super::super::operators::hats;
     use super::*;
 
     fn error(operator: &Matrix, column: &[f64], truth: &[f64]) -> f64 {
@@ -309,7 +312,7 @@ mod tests {
             let truth: Vec<f64> = (0..n).map(|i| (-(radius(i, phase) / 14.0).powi(2)).exp()).collect();
             let column: Vec<f64> = truth.iter().map(|f| 14.0 * PI.sqrt() * f).collect();
             for (name, filtered, bound) in [
-                ("daun", daun(n, phase, None).unwrap(), 2.7e-3),
+                ("daun", daun(n, phase, Elements::Linear, None).unwrap(), 2.7e-3),
                 ("basex", basex(n, phase, None).unwrap(), 3e-3),
                 ("fourier", fourier(n, phase, None), 1e-5),
             ] {
@@ -328,7 +331,7 @@ mod tests {
     fn daun_minimises_what_it_says() {
         let (n, strength) = (25, 3.0);
         let a = hats(n, 0.0);
-        let operator = daun(n, 0.0, Some(strength)).unwrap().operator(0);
+        let operator = daun(n, 0.0, Elements::Linear, Some(strength)).unwrap().operator(0);
         let left = a.transposed().times(&a);
         let rough = roughness(n);
         let left = Matrix::from_fn(n, n, |i, j| left.at(i, j) + strength * rough.at(i, j));

@@ -7,6 +7,9 @@ use super::flag;
 use super::grid::{Grid, Mix, Side};
 use super::operators::radius;
 
+/// Numbers of the widest vector.
+const EIGHT: usize = 8;
+
 /// Radii in a row that a straight line may bridge.
 const GAP_MAX: usize = 4;
 
@@ -123,46 +126,91 @@ fn joined(left: &Mix, a: f64, right: &Mix, b: f64) -> Mix {
     out
 }
 
+/// Numbers in the opposite order, as many as both hold: `to` from its begin, `from` from its end.
+#[inline(always)]
+pub(super) fn reverse(from: &[f64], to: &mut [f64]) {
+    let length = from.len().min(to.len());
+    let (from, to) = (&from[from.len() - length..], &mut to[..length]);
+    for (from, to) in from.rchunks_exact(EIGHT).zip(to.chunks_exact_mut(EIGHT)) {
+        let mut eight = [0.0; EIGHT];
+        eight.copy_from_slice(from);
+        eight.reverse();
+        to.copy_from_slice(&eight);
+    }
+    let rest = length % EIGHT;
+    from[..rest].iter().rev().zip(&mut to[length - rest..]).for_each(|(from, to)| *to = *from);
+}
+
 /// Joins a complete row of a plain grid quickly into columns and, if asked for, their variances. Returns the squared
-/// differences of the halves and how many pixel variances they hold.
+/// differences of the halves and how many pixel variances they hold. `memory` is two rows long.
+#[inline(always)]
 pub(super) fn join_complete(
     grid: &Grid,
     pixels: &Pixels<'_>,
     out: &mut [f64],
     variances: &mut [f64],
+    memory: &mut [f64],
 ) -> (f64, f64) {
     let ((right, to_right), (left, to_left)) = (grid.right, grid.left);
     let both = to_right.min(to_left);
-    let values = pixels.values;
-    let right_half = &values[right..right + to_right];
-    let left_half = || values[..=left].iter().rev();
-    if to_right >= to_left {
-        out.copy_from_slice(right_half)
-    } else {
-        out.iter_mut().zip(left_half()).for_each(|(o, v)| *o = *v)
-    }
+    let (a, known_a) = (&pixels.values[right..right + to_right], pixels.variances);
+    // The left half, from the axis on.
+    let (b, known_b) = memory.split_at_mut(grid.columns);
+    reverse(&pixels.values[..=left], b);
+    let b = &b[..to_left];
+    let longer = if to_right >= to_left { a } else { b };
+    out[both..].copy_from_slice(&longer[both..]);
     // On an axis that is a pixel both sides are the same one.
     let own = usize::from(grid.phase <= 0.0 && both > 0);
-    let mut square = 0.0;
-    for ((out, a), b) in out[..both].iter_mut().zip(right_half).zip(left_half()) {
-        *out = 0.5 * (a + b);
-        square += (a - b) * (a - b);
-    }
-    if let Some(known) = pixels.variances {
-        let right_known = known[right..right + to_right].iter();
-        let left_known = || known[..=left].iter().rev();
-        if to_right >= to_left {
-            variances.iter_mut().zip(right_known.clone()).for_each(|(o, v)| *o = *v);
-        } else {
-            variances.iter_mut().zip(left_known()).for_each(|(o, v)| *o = *v);
+    let square = in_eights(&a[..both], &b[..both], |a, b| (a - b) * (a - b));
+    match known_a {
+        None => {
+            let halves = a[..both].iter().zip(&b[..both]);
+            out[..both].iter_mut().zip(halves).for_each(|(out, (a, b))| *out = 0.5 * (a + b));
         }
-        let each = right_half.iter().zip(left_half()).zip(right_known.zip(left_known()));
-        for (i, ((a, b), (va, vb))) in each.enumerate().take(both).skip(own) {
-            let sum = va + vb;
-            let to_a = if sum > 0.0 { vb / sum } else { 0.5 };
-            out[i] = to_a * a + (1.0 - to_a) * b;
-            variances[i] = to_a * to_a * va + (1.0 - to_a) * (1.0 - to_a) * vb;
+        Some(known) => {
+            let known_a = &known[right..right + to_right];
+            reverse(&known[..=left], known_b);
+            let known_b = &known_b[..to_left];
+            let longer = if to_right >= to_left { known_a } else { known_b };
+            variances[both..].copy_from_slice(&longer[both..]);
+            out[..own].copy_from_slice(&a[..own]);
+            variances[..own].copy_from_slice(&known_a[..own]);
+            let halves = a[own..both].iter().zip(&b[own..both]);
+            let known = known_a[own..both].iter().zip(&known_b[own..both]);
+            let to = out[own..both].iter_mut().zip(&mut variances[own..both]);
+            for ((out, variance), ((a, b), (va, vb))) in to.zip(halves.zip(known)) {
+                let sum = va + vb;
+                let to_a = if sum > 0.0 { vb / sum } else { 0.5 };
+                *out = to_a * a + (1.0 - to_a) * b;
+                *variance = to_a * to_a * va + (1.0 - to_a) * (1.0 - to_a) * vb;
+            }
         }
     }
     (square, 2.0 * radius(both - own, 0.0))
+}
+
+/// Σ f(a, b), in eight sums so that vectors can add them.
+#[inline(always)]
+fn in_eights(a: &[f64], b: &[f64], f: impl Fn(f64, f64) -> f64) -> f64 {
+    let mut sums = [0.0; EIGHT];
+    let ((whole_a, rest_a), (whole_b, rest_b)) = (a.as_chunks::<EIGHT>(), b.as_chunks::<EIGHT>());
+    for (a, b) in whole_a.iter().zip(whole_b) {
+        for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
+            *sum += f(*a, *b);
+        }
+    }
+    sums.iter().sum::<f64>() + rest_a.iter().zip(rest_b).map(|(a, b)| f(*a, *b)).sum::<f64>()
+}
+
+/// Σ value².
+#[inline(always)]
+pub(super) fn squares(values: &[f64]) -> f64 {
+    in_eights(values, values, |v, _| v * v)
+}
+
+/// Σ value.
+#[inline(always)]
+pub(super) fn sum(values: &[f64]) -> f64 {
+    in_eights(values, values, |v, _| v)
 }

@@ -3,8 +3,7 @@
 //! All sums run in one order, without fused operations: the same bits on any machine of one architecture and for any
 //! number of threads.
 
-use rayon::prelude::*;
-use std::ops::Range;
+use super::product::{Packed, Rows, multiply};
 
 /// A dense matrix, row by row.
 #[derive(Debug, Clone, PartialEq)]
@@ -13,13 +12,6 @@ pub(super) struct Matrix {
     pub(super) columns: usize,
     pub(super) values: Vec<f64>,
 }
-
-/// Rows that are multiplied at a time, so that they share what is read of the other matrix.
-const ROWS: usize = 4;
-/// Vectors of outputs that stay in registers for each of them.
-const VECTORS: usize = 4;
-/// Rows of one parallel task.
-const TASK_ROWS: usize = 64;
 
 impl Matrix {
     pub(super) fn zeros(rows: usize, columns: usize) -> Self {
@@ -52,16 +44,13 @@ impl Matrix {
         Self::from_fn(self.columns, self.rows, |i, j| self.at(j, i))
     }
 
-    /// Every value squared.
-    pub(super) fn squared(&self) -> Self {
-        Self { values: self.values.iter().map(|v| v * v).collect(), ..*self }
-    }
-
     /// self · other.
     pub(super) fn times(&self, other: &Self) -> Self {
         assert!(self.columns == other.rows, "as many columns as the other has rows");
         let mut out = Self::zeros(self.rows, other.columns);
-        multiply(&self.values, self.columns, other, None, &mut out.values);
+        let order: Vec<usize> = (0..self.rows).collect();
+        let left = Rows { values: &self.values, stride: self.columns, order: &order, depth: self.columns };
+        multiply(&left, &Packed::new(other, None), &mut out.values);
         out
     }
 
@@ -86,91 +75,6 @@ impl Matrix {
             out.row_mut(i).copy_from_slice(&row);
         }
         Some(out)
-    }
-}
-
-/// out[r] = Σ_k left[r][k] · right[k]: rows of `left` of length `inner`, rows of `out` as long as those of `right`.
-///
-/// `reach` says that right[k][i] is zero where k + reach < i, as for operators that peel outside in: such terms are
-/// skipped.
-pub(super) fn multiply(left: &[f64], inner: usize, right: &Matrix, reach: Option<usize>, out: &mut [f64]) {
-    let columns = right.columns;
-    if columns == 0 || inner == 0 {
-        return;
-    }
-    let tasks = out.par_chunks_mut(TASK_ROWS * columns).zip(left.par_chunks(TASK_ROWS * inner));
-    tasks.for_each(|(out, left)| pulp::Arch::new().dispatch(Product { left, inner, right, reach, out }));
-}
-
-struct Product<'a> {
-    left: &'a [f64],
-    inner: usize,
-    right: &'a Matrix,
-    reach: Option<usize>,
-    out: &'a mut [f64],
-}
-
-impl pulp::WithSimd for Product<'_> {
-    type Output = ();
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(mut self, simd: S) {
-        let columns = self.right.columns;
-        let rows = self.out.len() / columns;
-        let tile = VECTORS * S::F64_LANES;
-        for column in (0..columns).step_by(tile) {
-            let from = self.reach.map_or(0, |reach| column.saturating_sub(reach));
-            let whole = column + tile <= columns;
-            for row in (0..rows).step_by(ROWS) {
-                if whole && row + ROWS <= rows {
-                    self.tile::<S>(simd, row, column, from);
-                } else {
-                    self.rest(row..rows.min(row + ROWS), column..columns.min(column + tile), from);
-                }
-            }
-        }
-    }
-}
-
-impl Product<'_> {
-    /// Sums of four rows and four vectors of columns, in registers.
-    #[inline(always)]
-    fn tile<S: pulp::Simd>(&mut self, simd: S, row: usize, column: usize, from: usize) {
-        let columns = self.right.columns;
-        let length = VECTORS * S::F64_LANES;
-        // Slices of one length, so that no bound is checked inside.
-        let left = |r: usize| &self.left[(row + r) * self.inner + from..(row + r + 1) * self.inner];
-        let (a, b, c, d) = (left(0), left(1), left(2), left(3));
-        let mut sums = [[simd.splat_f64s(0.0); VECTORS]; ROWS];
-        let right = self.right.values[from * columns..].chunks_exact(columns);
-        for ((((right, &a), &b), &c), &d) in right.zip(a).zip(b).zip(c).zip(d) {
-            let (vectors, _) = S::as_simd_f64s(&right[column..column + length]);
-            let vectors: &[S::f64s; VECTORS] = vectors.try_into().expect("a whole number of vectors");
-            for (sums, factor) in sums.iter_mut().zip([a, b, c, d]) {
-                let factor = simd.splat_f64s(factor);
-                for (sum, &vector) in sums.iter_mut().zip(vectors) {
-                    *sum = simd.add_f64s(*sum, simd.mul_f64s(factor, vector));
-                }
-            }
-        }
-        for (r, sums) in sums.iter().enumerate() {
-            let at = (row + r) * columns + column;
-            let (out, _) = S::as_mut_simd_f64s(&mut self.out[at..at + length]);
-            out.copy_from_slice(sums);
-        }
-    }
-
-    /// The same sums in the same order, where tiles do not fit.
-    fn rest(&mut self, rows: Range<usize>, columns: Range<usize>, from: usize) {
-        let width = self.right.columns;
-        for row in rows {
-            let out = &mut self.out[row * width + columns.start..row * width + columns.end];
-            out.fill(0.0);
-            for k in from..self.inner {
-                let factor = self.left[row * self.inner + k];
-                let right = &self.right.values[k * width + columns.start..k * width + columns.end];
-                out.iter_mut().zip(right).for_each(|(out, right)| *out += factor * right);
-            }
-        }
     }
 }
 
@@ -378,22 +282,6 @@ mod tests {
 
     fn plain(a: &Matrix, b: &Matrix) -> Matrix {
         Matrix::from_fn(a.rows, b.columns, |i, j| (0..a.columns).map(|k| a.at(i, k) * b.at(k, j)).sum())
-    }
-
-    /// Whatever the shape, tiles and rests add the same terms in the same order: bit for bit.
-    #[test]
-    fn products_are_the_plain_sums() {
-        for (rows, inner, columns) in [(1, 1, 1), (4, 7, 32), (67, 33, 45), (130, 40, 64)] {
-            let (a, b) = (rough(rows, inner), rough(inner, columns));
-            assert_eq!(a.times(&b), plain(&a, &b));
-            let reach = 1;
-            let upper = Matrix::from_fn(inner, columns, |k, i| if k + reach < i { 0.0 } else { b.at(k, i) });
-            let mut out = vec![f64::NAN; rows * columns];
-            multiply(&a.values, inner, &upper, Some(reach), &mut out);
-            for (got, want) in out.iter().zip(&plain(&a, &upper).values) {
-                assert!((got - want).abs() <= 1e-15 * inner as f64, "{got} {want}");
-            }
-        }
     }
 
     /// V diag(d) Vᵀ is the matrix, and V is orthogonal, to rounding.

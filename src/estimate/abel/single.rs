@@ -1,11 +1,15 @@
 //! Rows that go alone: with missing pixels, an axis between the radii, or bounds. The operator is formed for the radii that
 //! are known, and variances follow from the weight of every pixel in every answer.
 
+use super::answer::Answer;
+use super::elements;
 use super::filtered::{self, cosines_seen, orthogonal, roughness};
 use super::fold::{Joined, Pixels};
+use super::inverter::{Inverter, Kernel};
 use super::matrix::{self, Matrix};
-use super::operators::hats;
-use super::{Answer, Inverter, Kernel, Method, Work, bounded, flag};
+use super::request::Method;
+use super::rows::Work;
+use super::{bounded, flag};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -74,7 +78,8 @@ pub(super) fn answers(inverter: &Inverter, work: &Work<'_>, answer: &Answer) -> 
         .map(|row| {
             let joined = row_of(row)?;
             let key = key(row, joined);
-            let pixels = pixels_of(inverter, work, row);
+            let variances = work.pixel_variances(row);
+            let pixels = Pixels { values: work.pixel_values(row), variances: variances.as_deref() };
             let linear = operators.get(&key).and_then(Option::as_ref);
             let found = Row { inverter, joined, pixels, noise: work.noise[row] };
             Some(match (linear, quadratics.get(&key)) {
@@ -86,16 +91,13 @@ pub(super) fn answers(inverter: &Inverter, work: &Work<'_>, answer: &Answer) -> 
         .collect()
 }
 
-fn pixels_of<'a>(inverter: &Inverter, work: &'a Work<'_>, row: usize) -> Pixels<'a> {
-    let columns = inverter.grid.columns;
-    let range = row * columns..(row + 1) * columns;
-    let variances = work.given.then(|| &work.pixel_variances[range.clone()]);
-    Pixels { values: &work.pixels[range], variances }
-}
-
 fn joined_again(inverter: &Inverter, work: &Work<'_>, row: usize) -> Joined {
     let known = work.incomplete[row].clone();
-    known.unwrap_or_else(|| super::fold::join(&inverter.grid, &pixels_of(inverter, work, row)))
+    known.unwrap_or_else(|| {
+        let variances = work.pixel_variances(row);
+        let pixels = Pixels { values: work.pixel_values(row), variances: variances.as_deref() };
+        super::fold::join(&inverter.grid, &pixels)
+    })
 }
 
 /// The operator on the radii `from` ‥ `to` alone: nothing is beyond, nothing is asked of what is inside. None where there
@@ -109,13 +111,13 @@ fn operator(inverter: &Inverter, key: Key) -> Option<Matrix> {
     let trimmed =
         |matrix: &Matrix| Matrix::from_fn(to - from, to - from, |i, j| matrix.at(from + i, from + j));
     match &inverter.kernel {
-        Kernel::Fixed(fixed) if fixed.reach.is_some() => {
-            let mut out = trimmed(&fixed.operator);
+        Kernel::Fixed(fixed, Some(reach)) => {
+            let reach = *reach;
+            let mut out = trimmed(&fixed.matrix);
             // The column just inside is not known: the parabola through the first three goes on.
-            let reach = fixed.reach.unwrap_or(0);
             for i in 0..out.rows.min(reach) {
                 for lost in from.saturating_sub(reach)..from {
-                    let weight = fixed.operator.at(from + i, lost);
+                    let weight = fixed.matrix.at(from + i, lost);
                     #[expect(clippy::cast_precision_loss, reason = "one or two radii")]
                     let t = -((from - lost) as f64);
                     let parabola = match out.columns {
@@ -128,16 +130,9 @@ fn operator(inverter: &Inverter, key: Key) -> Option<Matrix> {
             }
             Some(out)
         }
-        Kernel::Fixed(fixed) if from == 0 && to == n => Some(fixed.operator.clone()),
-        Kernel::Filtered(filtered) if from == 0 && to == n => Some(filtered.operator(choice)),
-        kernel => {
-            let strength = match kernel {
-                Kernel::Filtered(filtered) => filtered.choices[choice].strength,
-                Kernel::Fixed(_) => match inverter.settings.strength {
-                    super::Strength::Fixed(strength) => strength,
-                    _ => 0.0,
-                },
-            };
+        kernel if from == 0 && to == n => Some(kernel.operator(choice).matrix.clone()),
+        _ => {
+            let strength = inverter.strength(choice);
             match inverter.settings.method {
                 Method::Basex => {
                     let shells = filtered::shells(n, phase);
@@ -173,7 +168,7 @@ fn operator(inverter: &Inverter, key: Key) -> Option<Matrix> {
                     Some(both.meaning.times(&both.basis.transposed()))
                 }
                 _ => {
-                    let Quadratic { a, quadratic, .. } = Quadratic::of(n, phase, from, to, strength);
+                    let Quadratic { a, quadratic, .. } = Quadratic::new(inverter, key);
                     matrix::solve_positive(&quadratic, &a.transposed())
                 }
             }
@@ -181,7 +176,7 @@ fn operator(inverter: &Inverter, key: Key) -> Option<Matrix> {
     }
 }
 
-/// |A f − p|² + λ |L f|² of linear elements on the radii `from` ‥ `to`.
+/// |A f − p|² + λ |L f|² on the radii `from` ‥ `to`.
 struct Quadratic {
     a: Matrix,
     quadratic: Matrix,
@@ -190,16 +185,9 @@ struct Quadratic {
 impl Quadratic {
     fn new(inverter: &Inverter, key: Key) -> Self {
         let (from, to, choice) = key;
-        let strength = match &inverter.kernel {
-            Kernel::Filtered(filtered) => filtered.choices[choice].strength,
-            Kernel::Fixed(_) => 0.0,
-        };
-        Self::of(inverter.grid.n, inverter.grid.phase, from, to, strength)
-    }
-
-    fn of(n: usize, phase: f64, from: usize, to: usize, strength: f64) -> Self {
-        let hats = hats(n, phase);
-        let a = Matrix::from_fn(to - from, to - from, |i, j| hats.at(from + i, from + j));
+        let (grid, strength) = (&inverter.grid, inverter.strength(choice));
+        let whole = elements::columns(inverter.settings.elements, grid.n, grid.phase);
+        let a = elements::part(&whole, from, to);
         let mut quadratic = a.transposed().times(&a);
         let rough = roughness(to - from);
         quadratic.values.iter_mut().zip(&rough.values).for_each(|(v, rough)| *v += strength * rough);

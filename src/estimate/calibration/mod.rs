@@ -4,15 +4,17 @@
 //! points errs by kelvins; what a camera's own nonlinearity adds is a monotone residual, only where the fit's χ² demands
 //! it. Does not acquire calibrations and does not know which camera, lens or filter they belong to.
 //!
-//! In reading order: the curve and its range (`curve`), points to curve (`fit`, with its algebra in `least_squares`),
-//! what a known filter says of the curve before any point (`band`), what the equation leaves (`residual`), a short
-//! curve on a long one (`mapping`).
+//! In reading order: the curve and its range (`curve`), points to curve (`fit`, by `descent`, with its algebra in
+//! `least_squares`), what a known filter and any band say of the curve before any point (`band`, `prior`), what the
+//! equation leaves (`residual`), a short curve on a long one (`mapping`).
 
 mod band;
 mod curve;
+mod descent;
 mod fit;
 mod least_squares;
 mod mapping;
+mod prior;
 mod residual;
 
 pub use band::Passband;

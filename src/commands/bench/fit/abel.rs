@@ -3,7 +3,9 @@
 use super::super::{Figure, Watch};
 use super::shots::Noise;
 use super::speed::fastest;
-use crate::estimate::abel::{Columns, Inverted, Inverter, Memory, Method, Settings, Strength, centre::Axis};
+use crate::estimate::abel::{
+    Columns, Elements, Inverted, Inverter, Memory, Method, Settings, Strength, centre::Axis,
+};
 
 const ROWS: usize = 512;
 const COLUMNS: usize = 640;
@@ -25,7 +27,13 @@ pub(super) fn figures(watch: &Watch<'_>) -> Result<Vec<Figure>, String> {
             if method == Method::DaunNonNegative && known {
                 continue;
             }
-            let settings = Settings { method, strength: Strength::Automatic, centre: None, pixel_m: 1.0 };
+            let settings = Settings {
+                method,
+                elements: Elements::Linear,
+                strength: Strength::Automatic,
+                centre: None,
+                pixel_m: 1.0,
+            };
             let axis = Axis { column: 0.5 * (COLUMNS as f64 - 1.0), sigma: 0.0, found: false };
             let inverter = Inverter::new(COLUMNS, axis, &settings).map_err(|e| e.to_string())?;
             let sigmas = known.then_some(sigmas.as_slice());
