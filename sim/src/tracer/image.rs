@@ -14,7 +14,7 @@ use super::pixels::Frame;
 use super::plate::{Plate, PlateShape};
 use super::sampling::Lit;
 use super::shots::denser;
-use super::spectrum::{Lane, One, Spectrum};
+use super::spectrum::{Lane, One, Spectrum, Wide};
 use rayon::prelude::*;
 
 /// Most spectral groups in one operator.
@@ -123,9 +123,9 @@ pub fn render_shots(
     match medium.groups {
         1 => job.render::<One>(shots, take),
         2..=8 => job.render::<[Lane; 1]>(shots, take),
-        9..=16 => job.render::<[Lane; 2]>(shots, take),
-        17..=32 => job.render::<[Lane; 4]>(shots, take),
-        33..=64 => job.render::<[Lane; 8]>(shots, take),
+        9..=16 => job.render::<[Wide; 1]>(shots, take),
+        17..=32 => job.render::<[Wide; 2]>(shots, take),
+        33..=64 => job.render::<[Wide; 4]>(shots, take),
         _ => Err(TracerError::Groups { groups: medium.groups, limit: GROUPS_MAX }),
     }
 }
@@ -204,6 +204,12 @@ impl Job<'_> {
     /// and with the extinction from one cell to the next.
     fn subdivision(&self) -> usize {
         let m = self.medium;
+        let room = |factor: usize| {
+            factor < SUBDIVISION_MAX && m.occupied() * (2 * factor).pow(3) <= SUBDIVIDED_CELLS_MAX
+        };
+        if !(self.options.scatter && room(1)) {
+            return 1;
+        }
         let size = [0, 1, 2].map(|a| (m.upper_m[a] - m.lower_m[a]) / real(m.cells[a]));
         let edge = size[0].max(size[1]).max(size[2]);
         let scatters =
@@ -211,18 +217,12 @@ impl Job<'_> {
         let most = m.k_ext.par_iter().zip(&m.k_sca).map(scatters).reduce(|| 0.0, f64::max);
         let wanted = SUBDIVIDED_DEPTH * (self.options.target_error / 1e-3).sqrt().clamp(0.3, 3.0);
         let mut factor = 1;
-        while self.options.scatter
-            && factor < SUBDIVISION_MAX
-            && most * edge > wanted * real(factor)
-            && m.occupied() * (2 * factor).pow(3) <= SUBDIVIDED_CELLS_MAX
-        {
+        while most * edge > wanted * real(factor) && room(factor) {
             factor *= 2;
         }
         factor
     }
-}
 
-impl Job<'_> {
     /// Whether cells that are too coarse for the light scattered in them may be cut once more.
     fn divides_again(&self, factor: usize) -> bool {
         let cells = self.medium.occupied().saturating_mul((2 * factor).pow(3));

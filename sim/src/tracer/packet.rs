@@ -176,7 +176,8 @@ impl Packet {
         let step = self.walk.step::<true>(&fine.bricks);
         let Step { brick, place, cell: [cx, cy, cz], start, exit, .. } = step;
         let (mut k, mut albedo) = (ZEROS, ZEROS);
-        let (mut first, mut down) = (NO_INTS, NO_INTS);
+        // An empty brick is one piece, the first one: nothing is multiplied with it, but it is read.
+        let (mut first, mut down) = (NO_INTS, Ints([EDGE_LOG as i32; LANES]));
         for l in 0..LANES {
             if place.0[l] != NOWHERE {
                 let [here, scattering] = fine.core[place.0[l] as usize];

@@ -11,6 +11,7 @@ use super::cache::{Cache, Leaves, owners};
 use super::chamber::SIDES;
 use super::fine::{CELLS, Fine};
 use super::pyramid::Pyramid;
+use super::sobol::hash;
 use super::spectrum::{Spectrum, narrow};
 use rayon::prelude::*;
 
@@ -47,6 +48,16 @@ const CAUTION: f32 = 2.0;
 /// changes by itself.
 const DECAY: f32 = 2.0;
 
+/// Boxes as large as itself that a leaf looks past where nothing is, for one that tells how light changes.
+const FAR: usize = 4;
+
+/// What light changes by inside a leaf whose neighbours tell nothing, rms over its own value and per optical depth: light
+/// scattered in lumps that stand apart, compared with pixels traced one by one.
+const UNTOLD: f32 = 0.15;
+
+/// Least distance between the places that stand for two leaves, in edges: those places may lie side by side.
+const CLOSE: f32 = 0.25;
+
 /// What scattering adds to the sights inside each leaf.
 pub(super) struct Scattered<S> {
     /// `[leaf]`.
@@ -78,9 +89,14 @@ type Shares<S> = [[S; ROWS]; 3];
 struct Place {
     beside: [u32; 6],
     open: f32,
+    /// Optical depth of its edge, the mean over the groups.
+    depth: f32,
     /// Cells along its edge.
     edge: usize,
     centre: [f32; 3],
+    /// Where in it light is scattered: mean offset from its centre in cells, and mean square.
+    offset: [f32; 3],
+    square: [f32; 3],
 }
 
 /// Centre of a leaf in cells.
@@ -107,9 +123,15 @@ pub(super) struct Places<'a> {
 }
 
 impl<'a> Places<'a> {
-    pub(super) fn new<S: Spectrum>(fine: &Fine<S>, pyramid: &Pyramid<S>, leaves: &'a Leaves) -> Self {
+    /// `depths` as from [`depths`].
+    pub(super) fn new<S: Spectrum>(
+        fine: &Fine<S>,
+        pyramid: &Pyramid<S>,
+        leaves: &'a Leaves,
+        depths: &[f32],
+    ) -> Self {
         let owner = owners(leaves);
-        let list = places(fine, pyramid, leaves, &owner);
+        let list = places(fine, pyramid, leaves, &owner, depths);
         Self { leaves, owner, list, channels: fine.channels }
     }
 
@@ -224,10 +246,15 @@ fn lost<S: Spectrum>(leaf: &InLeaf<S>, place: &Place, all: &[InLeaf<S>]) -> [S; 
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "leaf counts are below 2^32")]
-fn places<S: Spectrum>(fine: &Fine<S>, pyramid: &Pyramid<S>, leaves: &Leaves, owner: &[u32]) -> Vec<Place> {
+fn places<S: Spectrum>(
+    fine: &Fine<S>,
+    pyramid: &Pyramid<S>,
+    leaves: &Leaves,
+    owner: &[u32],
+    depths: &[f32],
+) -> Vec<Place> {
     let bricks = &leaves.bricks;
     let size = narrow(bricks.size[0].max(bricks.size[1]).max(bricks.size[2]));
-    let depths = depths(fine, pyramid, leaves);
     owner
         .par_iter()
         .enumerate()
@@ -242,14 +269,67 @@ fn places<S: Spectrum>(fine: &Fine<S>, pyramid: &Pyramid<S>, leaves: &Leaves, ow
                 at[k / 2] += if k.is_multiple_of(2) { -1.0 } else { 1.0 } * 0.5 * (real(edge) + 1.0);
                 leaf_at(leaves, at).filter(|&l| depths[l] > 0.0 && alike(l)).map_or(NONE, |l| l as u32)
             });
-            let open = (-DECAY * depths[leaf] * size * narrow(real(edge))).exp();
-            Place { beside, open, edge, centre: middle.map(narrow) }
+            let depth = depths[leaf] * size * narrow(real(edge));
+            let open = (-DECAY * depth).exp();
+            let [offset, square] =
+                moments(fine, pyramid, o as usize, leaf - bricks.list[b].first as usize, edge);
+            Place { beside, open, depth, edge, centre: middle.map(narrow), offset, square }
         })
         .collect()
 }
 
+/// Mean offset from a leaf's centre at which light is scattered in it, and mean square, in cells; from parts of an eighth of
+/// its volume at most. `block` is its number in the `i`-th occupied brick.
+fn moments<S: Spectrum>(
+    fine: &Fine<S>,
+    pyramid: &Pyramid<S>,
+    i: usize,
+    block: usize,
+    edge: usize,
+) -> [[f32; 3]; 2] {
+    let even = [[0.0; 3], [narrow(real(edge * edge)) / 12.0; 3]];
+    // Parts along its edge, and cells along theirs.
+    let (parts, wide) = if edge > 2 { (edge / 2, 2) } else { (edge, 1) };
+    if parts == 1 {
+        return even;
+    }
+    let log = (EDGE / edge).trailing_zeros();
+    let mask = (1_usize << log) - 1;
+    let corner = [block >> (2 * log), block >> log & mask, block & mask].map(|c| c * parts);
+    let finest = (EDGE / wide).trailing_zeros();
+    let (mut sum, mut first, mut second) = (0.0_f32, [0.0_f32; 3], [0.0_f32; 3]);
+    let weight = |[x, y, z]: [usize; 3]| {
+        let place = x << (2 * finest) | y << finest | z;
+        if wide == 1 {
+            let [k, albedo] = fine.core[i * CELLS + place];
+            k.times(albedo).sum()
+        } else {
+            pyramid.blocks(i, finest)[place].scattering.sum()
+        }
+    };
+    for x in 0..parts {
+        for y in 0..parts {
+            for z in 0..parts {
+                let weight = weight([corner[0] + x, corner[1] + y, corner[2] + z]);
+                sum += weight;
+                let at = [x, y, z]
+                    .map(|c| (narrow(real(c)) + 0.5) * narrow(real(wide)) - 0.5 * narrow(real(edge)));
+                for a in 0..3 {
+                    first[a] += weight * at[a];
+                    second[a] += weight * at[a] * at[a];
+                }
+            }
+        }
+    }
+    if !(sum > 0.0 && sum.is_finite()) {
+        return even;
+    }
+    let inside = narrow(real(wide * wide)) / 12.0;
+    [first.map(|f| f / sum), second.map(|s| s / sum + inside)]
+}
+
 /// Mean extinction of every leaf over its volume in 1/m; zero where nothing is.
-fn depths<S: Spectrum>(fine: &Fine<S>, pyramid: &Pyramid<S>, leaves: &Leaves) -> Vec<f32> {
+pub(super) fn depths<S: Spectrum>(fine: &Fine<S>, pyramid: &Pyramid<S>, leaves: &Leaves) -> Vec<f32> {
     let mut depths = Vec::with_capacity(leaves.demand.len());
     for (i, &b) in leaves.occupied.iter().enumerate() {
         let brick = leaves.bricks.list[b];
@@ -462,33 +542,64 @@ impl<S: Spectrum> Known<'_, S> {
         let mut share = [[S::ZERO; TERMS]; ROWS];
         let mut bias = [S::ZERO; ROWS];
         let mut wobble = [S::ZERO; ROWS];
-        let (mut around, mut count) = ([S::ZERO; ROWS], 0.0);
+        let (mut around, mut count, mut untold) = ([S::ZERO; ROWS], 0.0, 0.0_f32);
         for row in 0..ROWS {
             share[row][0] = own[0][row];
         }
         for axis in 0..3 {
             let [low, high] = [-1.0, 1.0].map(|side| self.beside(leaf, axis, side));
-            let distance = edge * if low.is_some() && high.is_some() { 2.0 } else { 1.0 };
+            if low.is_none() && high.is_none() {
+                untold += 1.0;
+            }
+            let here = self.places[leaf].offset[axis];
+            // From where light is scattered in one leaf to where it is in the next.
+            let [before, behind] = [(&low, -1.0), (&high, 1.0)].map(|(other, side)| match other {
+                Some((_, there)) => (edge + side * (there - here)).max(CLOSE * edge),
+                None => 0.0,
+            });
+            let distance = if low.is_some() || high.is_some() { before + behind } else { edge };
+            let [low, high] = [low, high].map(|other| other.map(|(shares, _)| shares));
             let (from, to) = (low.as_ref().unwrap_or(own), high.as_ref().unwrap_or(own));
             for row in 0..ROWS {
-                share[row][1 + axis] = to[0][row].minus(from[0][row]).scaled(1.0 / distance);
                 let differ = to[1][row].minus(from[1][row]).minus(to[2][row].minus(from[2][row]));
                 let differ = differ.scaled(0.5 / distance);
                 wobble[row] = wobble[row].plus(differ.times(differ));
+                let mut slope = to[0][row].minus(from[0][row]).scaled(1.0 / distance);
                 if low.is_some() && high.is_some() {
-                    let twice = to[0][row].plus(from[0][row]).minus(own[0][row].scaled(2.0));
-                    share[row][4 + axis] = twice.scaled(0.5 / (edge * edge));
+                    let rise = to[0][row].minus(own[0][row]).scaled(1.0 / behind);
+                    let past = own[0][row].minus(from[0][row]).scaled(1.0 / before);
+                    let half = rise.minus(past).scaled(1.0 / distance);
+                    share[row][4 + axis] = half;
+                    // The slope where light is scattered here is that at the leaf's centre a little later.
+                    slope = slope.plus(half.scaled(before - behind - 2.0 * here));
                 }
+                share[row][1 + axis] = slope;
                 for other in [&low, &high].into_iter().flatten() {
                     around[row] = around[row].plus(other[0][row]);
                 }
             }
             count += f32::from(u8::from(low.is_some()) + u8::from(high.is_some()));
         }
+        // The mean is that of the places where light is scattered.
+        let place = &self.places[leaf];
+        for row in &mut share {
+            for a in 0..3 {
+                let bent = place.square[a] - edge * edge / 12.0;
+                row[0] = row[0].minus(row[1 + a].scaled(place.offset[a])).minus(row[4 + a].scaled(bent));
+            }
+        }
         if count > 0.0 {
             for row in 0..ROWS {
                 let moved = around[row].scaled(1.0 / count).minus(own[0][row]);
                 bias[row] = bias[row].plus(moved.scaled(mixed));
+            }
+        }
+        if untold > 0.0 {
+            // To either side: leaves that stand apart do not err together.
+            let side = if hash(u32::try_from(leaf).unwrap_or(u32::MAX)) & 1 == 0 { 1.0 } else { -1.0 };
+            let part = side * UNTOLD * place.depth.min(1.0) * untold.sqrt();
+            for row in 0..ROWS {
+                bias[row] = bias[row].plus(own[0][row].scaled(part));
             }
         }
         let noise = [0, 1].map(|row: usize| {
@@ -499,45 +610,58 @@ impl<S: Spectrum> Known<'_, S> {
         InLeaf { share, noise, bias }
     }
 
-    /// Shares of a box as large as the leaf beside one of its faces: those of the leaf there, of a larger one at the
-    /// box's centre, or the mean of smaller ones. A leaf without paths knows nothing of its own.
-    fn beside(&self, leaf: usize, axis: usize, side: f64) -> Option<Shares<S>> {
+    /// Shares of the nearest box as large as the leaf in the direction of one of its faces of which anything is known, at
+    /// most [`FAR`] of them away; and where along the axis they are meant, from the centre of the one beside the face.
+    fn beside(&self, leaf: usize, axis: usize, side: f64) -> Option<(Shares<S>, f32)> {
         let place = &self.places[leaf];
         let edge = real(place.edge);
-        let mut middle = place.centre.map(f64::from);
-        middle[axis] += side * edge;
+        (1..=FAR).find_map(|step| {
+            let mut middle = place.centre.map(f64::from);
+            middle[axis] += side * edge * real(step);
+            let (shares, offset) = self.around(middle, place.edge, axis)?;
+            Some((shares, offset + narrow(side * edge * real(step - 1))))
+        })
+    }
+
+    /// Shares of a box of an edge: those of the leaf there, of a larger one at the box's centre, or the mean of smaller
+    /// ones; and where from the box's centre they are meant, along an axis. A leaf without paths knows nothing of its own.
+    fn around(&self, middle: [f64; 3], edge: usize, axis: usize) -> Option<(Shares<S>, f32)> {
         let known = |at| leaf_at(self.leaves, at).filter(|&l| self.counts[l] > 0.0);
         let other = leaf_at(self.leaves, middle)?;
         let size = self.places[other].edge;
-        if size == place.edge {
-            return known(middle).map(|l| self.shares[l]);
+        if size == edge {
+            return known(middle).map(|l| (self.shares[l], self.places[l].offset[axis]));
         }
-        if size > place.edge {
+        if size > edge {
             let other = known(middle)?;
             let mut shares = self.shares[other];
             for axis in 0..3 {
-                let apart = narrow(middle[axis]) - self.places[other].centre[axis];
+                let place = &self.places[other];
+                let apart = narrow(middle[axis]) - place.centre[axis] - place.offset[axis];
                 for half in &mut shares {
                     for row in 0..ROWS {
                         half[row] = half[row].plus(self.done[other].share[row][1 + axis].scaled(apart));
                     }
                 }
             }
-            return Some(shares);
+            return Some((shares, 0.0));
         }
-        let (mut sum, mut count) = ([[S::ZERO; ROWS]; 3], 0.0_f32);
+        let (mut sum, mut offset, mut count) = ([[S::ZERO; ROWS]; 3], 0.0_f32, 0.0_f32);
         for corner in 0..8 {
             // A quarter of a cell off the faces, so that what is chosen lies evenly about the middle.
-            let apart = 0.25 * edge + 0.25;
+            let apart = 0.25 * real(edge) + 0.25;
             let at =
                 [0, 1, 2].map(|a| if corner >> a & 1 == 0 { middle[a] - apart } else { middle[a] + apart });
             let Some(l) = known(at) else { continue };
             count += 1.0;
+            let place = &self.places[l];
+            offset += place.centre[axis] + place.offset[axis] - narrow(middle[axis]);
             for (sum, share) in sum.iter_mut().flatten().zip(self.shares[l].iter().flatten()) {
                 *sum = sum.plus(*share);
             }
         }
-        (count > 0.0).then(|| sum.map(|rows| rows.map(|row| row.scaled(1.0 / count))))
+        let per_leaf = 1.0 / count.max(1.0);
+        (count > 0.0).then(|| (sum.map(|rows| rows.map(|row| row.scaled(per_leaf))), offset * per_leaf))
     }
 }
 

@@ -18,7 +18,7 @@ use super::pixels::{Frame, sub_sights};
 use super::plate::{Plate, PlateShape};
 use super::scatter::Scatter;
 use super::sobol::{self, Sequence};
-use super::spectrum::{Lane, One, Spectrum, narrow, vectorised};
+use super::spectrum::{One, Spectrum, Wide, narrow, vectorised};
 use super::vector::along;
 use rayon::prelude::*;
 
@@ -60,8 +60,8 @@ pub fn render_reference(
     let frame = Frame { camera, sights: &sights, plate: plate.as_ref(), motion: options.motion_m };
     match medium.groups {
         1 => Ok(render::<One>(medium, &frame, options, chosen, progress)),
-        2..=16 => Ok(render::<[Lane; 2]>(medium, &frame, options, chosen, progress)),
-        17..=64 => Ok(render::<[Lane; 8]>(medium, &frame, options, chosen, progress)),
+        2..=16 => Ok(render::<[Wide; 1]>(medium, &frame, options, chosen, progress)),
+        17..=64 => Ok(render::<[Wide; 4]>(medium, &frame, options, chosen, progress)),
         _ => Err(TracerError::Groups { groups: medium.groups, limit: GROUPS_MAX }),
     }
 }

@@ -16,7 +16,7 @@ use super::operator::Operator;
 use super::pixels::{Frame, sub_sights};
 use super::plate::{Plate, PlateShape};
 use super::sobol::{self, Sequence};
-use super::spectrum::{Lane, One, Spectrum, narrow, vectorised};
+use super::spectrum::{One, Spectrum, Wide, narrow, vectorised};
 use super::spread::SubSight;
 use super::vector::Vector;
 use rayon::prelude::*;
@@ -203,8 +203,8 @@ pub fn excess(
     let view = View { frame, plate, seed: options.seed };
     match medium.groups {
         1 => Ok(view.excess::<One>(medium, operator)),
-        2..=16 => Ok(view.excess::<[Lane; 2]>(medium, operator)),
-        17..=64 => Ok(view.excess::<[Lane; 8]>(medium, operator)),
+        2..=16 => Ok(view.excess::<[Wide; 1]>(medium, operator)),
+        17..=64 => Ok(view.excess::<[Wide; 4]>(medium, operator)),
         groups => Err(TracerError::Groups { groups, limit: GROUPS_MAX }),
     }
 }

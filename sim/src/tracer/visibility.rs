@@ -114,7 +114,14 @@ type Way<S> = Vec<(u32, S)>;
 
 /// Sets the demand of each leaf: the root of Σ over the probes of (weight of its scattering)², to which the optimal
 /// number of paths is proportional when all paths have the same variance (Neyman).
-pub(super) fn demand<S: Spectrum>(fine: &Fine<S>, leaves: &mut Leaves, probes: &Probes<'_>) -> Views<S> {
+///
+/// `depths` tells which leaves hold anything: no path begins in the others.
+pub(super) fn demand<S: Spectrum>(
+    fine: &Fine<S>,
+    leaves: &mut Leaves,
+    depths: &[f32],
+    probes: &Probes<'_>,
+) -> Views<S> {
     let sums: Vec<AtomicU64> = (0..leaves.demand.len()).map(|_| AtomicU64::new(0)).collect();
     let views = if let Some(fine) = fine.single() {
         let single = |way: Way<One>| way.into_iter().map(|(leaf, weight)| (leaf, S::splat(weight.get(0))));
@@ -141,7 +148,7 @@ pub(super) fn demand<S: Spectrum>(fine: &Fine<S>, leaves: &mut Leaves, probes: &
         .flat_map_iter(|&leaf| neighbours(leaves, leaves.occupied[owner[leaf] as usize], leaf))
         .collect();
     for leaf in beside {
-        if leaves.demand[leaf] <= 0.0 {
+        if leaves.demand[leaf] <= 0.0 && depths[leaf] > 0.0 {
             leaves.demand[leaf] = floor;
         }
     }
