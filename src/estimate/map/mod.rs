@@ -12,6 +12,7 @@
 //! some `levels`, the pixels that go alone (`single`, `residuals`), temperatures (`thermometer`), pixels beside the `plate`;
 //! questions about single pixels (`queries`); single lines (`known`).
 
+mod ahead;
 mod answers;
 pub mod flag;
 mod full;
@@ -32,6 +33,7 @@ mod solver;
 mod statistics;
 mod thermometer;
 mod verdict;
+mod ways;
 mod weights;
 mod writer;
 
