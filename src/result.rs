@@ -329,7 +329,7 @@ fn process(state: &LevelState) -> Value {
 }
 
 /// The uncertainty budget over the spray: medians in K, what is not in it, and the emissivity's systematic part.
-fn budget_of(budget: &Budget, map: &DitMap, emissivity_min: f64) -> Value {
+pub(crate) fn budget_of(budget: &Budget, map: &DitMap, emissivity_min: f64) -> Value {
     let over = |sigma_k: &[f64]| {
         let each = sigma_k.iter().zip(&map.emissivity).zip(&map.temperature_k);
         let inside =

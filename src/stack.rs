@@ -295,6 +295,36 @@ impl Stack {
         Ok((Fitted { map, levels }, sums))
     }
 
+    /// The uncertainty budget of a map of this stack by a fitted curve: what the curve's covariance adds to the statistical
+    /// parts. Of windows and plate a case states no uncertainty.
+    ///
+    /// Panics when map and sums do not belong together, which is the caller's mistake.
+    pub fn budget(
+        &self,
+        map: &DitMap,
+        sums: &Sums,
+        inputs: &FitInputs<'_>,
+        fit: &CalibrationFit,
+    ) -> budget::Budget {
+        let x_known = inputs.x_counts.iter().map(Option::is_some);
+        let plates_k: Vec<Option<f64>> = x_known
+            .enumerate()
+            .map(|(k, known)| if known { self.case.setpoints_k.get(k).copied().flatten() } else { None })
+            .collect();
+        let setup = budget::Setup {
+            fit,
+            gamma_near: inputs.gamma_near,
+            gamma_far: inputs.gamma_far,
+            // A case knows no light of the window: nothing is mirrored, whatever the walls' temperature.
+            reflectance_far: 0.0,
+            wall_temperature_k: fit.range.low_k,
+            emissivity_plate: inputs.emissivity_plate,
+            plates_k: &plates_k,
+            stated: budget::Stated::default(),
+        };
+        budget::budget(map, &map::crossing_shares(sums, inputs), &setup)
+    }
+
     /// How the map settles with the number of pairs, at most 100 of a level; see [`convergence`].
     ///
     /// # Errors
@@ -455,12 +485,14 @@ fn check(case: &Case) -> Result<(), String> {
 }
 
 /// A curve from a file, with the range it was calibrated in if the file says so.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
     /// The curve.
     pub curve: SakumaHattori,
     /// Where it is calibrated.
     pub range: Option<Range>,
+    /// The fit that it comes from, with its covariance; None for bare parameters.
+    pub fit: Option<CalibrationFit>,
 }
 
 impl Calibration {
@@ -473,7 +505,7 @@ impl Calibration {
         let text = std::fs::read_to_string(path)
             .map_err(|source| StackError::Io { path: path.to_path_buf(), source })?;
         if let Ok(fit) = serde_json::from_str::<CalibrationFit>(&text) {
-            return Ok(Self { curve: fit.curve, range: Some(fit.range) });
+            return Ok(Self { curve: fit.curve, range: Some(fit.range), fit: Some(fit) });
         }
         #[derive(Deserialize)]
         struct Inside {
@@ -481,7 +513,7 @@ impl Calibration {
         }
         let bare = serde_json::from_str::<CaseCurve>(&text);
         let curve = bare.or_else(|_| serde_json::from_str::<Inside>(&text).map(|inside| inside.calibration));
-        curve.map(|c| Self { curve: c.curve(), range: None }).map_err(|_| StackError::Case {
+        curve.map(|c| Self { curve: c.curve(), range: None, fit: None }).map_err(|_| StackError::Case {
             path: path.to_path_buf(),
             reason: "holds no calibration curve: neither a fitted one nor A, a_um and b_um_K".into(),
         })

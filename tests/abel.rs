@@ -34,15 +34,21 @@ fn run_of(elements: Elements, columns: &[f64], method: Method, strength: Strengt
     invert(&image, &Settings { method, elements, strength, centre: None, pixel_m }).unwrap()
 }
 
+/// Each pair with its columns on an odd width and the size of a pixel.
+fn odd_pairs(all: &Value) -> impl Iterator<Item = (&Value, Vec<f64>, f64)> {
+    let pairs = all["pairs"].as_array().expect("a list of pairs");
+    pairs.iter().map(|pair| {
+        let odd = &pair["odd"];
+        (pair, mirrored(&numbers(&odd["p"]), true), odd["dr"].as_f64().expect("the size of a pixel"))
+    })
+}
+
 /// The same operators as PyAbel: the axis is found, and every radius agrees to the digits of the file; the strengths that
 /// are searched for start at 1e-6 instead of none. Hansen and Law's first order differs from PyAbel's zeroth.
 #[test]
 fn operators_are_those_of_pyabel() {
     let all = pairs();
-    for pair in all["pairs"].as_array().unwrap() {
-        let odd = &pair["odd"];
-        let columns = mirrored(&numbers(&odd["p"]), true);
-        let dr = odd["dr"].as_f64().unwrap();
+    for (pair, columns, dr) in odd_pairs(&all) {
         let cases = [
             ("three_point", Method::ThreePoint, Strength::Automatic, 1e-9),
             ("onion_peeling", Method::OnionPeeling, Strength::Automatic, 1e-9),
@@ -72,10 +78,7 @@ fn operators_are_those_of_pyabel() {
 #[test]
 fn elements_of_every_degree_are_those_of_pyabel() {
     let all = pairs();
-    for pair in all["pairs"].as_array().unwrap() {
-        let odd = &pair["odd"];
-        let columns = mirrored(&numbers(&odd["p"]), true);
-        let dr = odd["dr"].as_f64().unwrap();
+    for (pair, columns, dr) in odd_pairs(&all) {
         let cases = [
             ("daun_degree_0", Elements::Steps, 0.0, 1e-9),
             ("daun", Elements::Linear, 0.0, 1e-9),

@@ -37,6 +37,19 @@ fn points(signal: &dyn Fn(f64) -> f64, n: u32) -> Vec<CalibrationPoint> {
         .collect()
 }
 
+/// Nearly normal numbers, of mean 0 and standard deviation 1: sums of twelve uniform ones.
+fn normals(mut state: u64) -> impl FnMut() -> f64 {
+    move || {
+        let sum: f64 = (0..12)
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                f64::from(u32::try_from(state >> 32).expect("32 bits")) / 4_294_967_296.0
+            })
+            .sum();
+        sum - 6.0
+    }
+}
+
 /// Rms error of T, K, over 345 … 600 K.
 fn rms(curve: &SakumaHattori, signal: &dyn Fn(f64) -> f64) -> f64 {
     let kelvins: Vec<f64> = (0..=255).map(|i| 345.0 + f64::from(i)).collect();
@@ -83,16 +96,7 @@ const BAND: Passband = Passband { centre_um: 3.40, fwhm_um: 0.12 };
 #[test]
 fn ten_noisy_points_are_good_for_a_fraction_of_a_kelvin() {
     let truth = SakumaHattori { a_counts: 7.2e5, a_um: 3.4, b_um_k: 1.5 };
-    let mut state = 11_u64;
-    let mut normal = move || {
-        let sum: f64 = (0..12)
-            .map(|_| {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                f64::from(u32::try_from(state >> 32).unwrap()) / 4_294_967_296.0
-            })
-            .sum();
-        sum - 6.0
-    };
+    let mut normal = normals(11);
     let bare = |points: &[CalibrationPoint], mode, _: f64| fit_curve(points, mode).unwrap();
     // The data sheet's centre is off by its tolerance, half a per cent, differently in every draw.
     let stated = |points: &[CalibrationPoint], mode, off: f64| {
@@ -158,16 +162,7 @@ fn through(low: f64, high: f64, leak: f64) -> impl Fn(f64) -> f64 {
 /// 68 and 95), and points without noise come back as well as the equation follows the band, whatever was said of bands.
 #[test]
 fn bands_of_all_widths_keep_what_the_fit_promises() {
-    let mut state = 29_u64;
-    let mut normal = move || {
-        let sum: f64 = (0..12)
-            .map(|_| {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                f64::from(u32::try_from(state >> 32).unwrap()) / 4_294_967_296.0
-            })
-            .sum();
-        sum - 6.0
-    };
+    let mut normal = normals(29);
     // What the equation leaves of ten clean points, in mK.
     let bands = [
         ("3.34 … 3.46", through(3.34, 3.46, 0.0), 1.0),

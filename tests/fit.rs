@@ -326,3 +326,49 @@ fn clean_stacks_lose_no_sample() {
         assert!(fitted.levels.iter().all(|level| level.rejected.is_empty() && level.spike_samples == 0));
     }
 }
+
+/// A stack says in words and in its summary that its sigmas are statistical and what nobody knows; a fitted curve brings
+/// its own part, which vanishes with the points' noise, and is then not among the unknown.
+#[test]
+fn stacks_say_what_their_sigmas_hold() {
+    let dir = tempfile::tempdir().unwrap();
+    let stack = folder("fig5_like");
+    let run = |more: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_ditd"));
+        let out = command.arg("fit").arg(&stack).arg("--out").arg(dir.path()).args(more).output().unwrap();
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        String::from_utf8(out.stdout).unwrap()
+    };
+    let summary = |more: &[&str]| serde_json::from_str::<Value>(&run(more)).unwrap();
+    let bare = summary(&["--json"]);
+    let unknown = ["calibration", "windows", "plate emissivity and uniformity", "plate reading"];
+    assert_eq!(bare["budget"]["not_in_it"], serde_json::json!(unknown));
+    assert_eq!(bare["budget"]["systematic"], serde_json::json!([]));
+    let told = run(&[]);
+    assert!(told.contains("statistical") && unknown.iter().all(|what| told.contains(what)), "{told}");
+
+    let case = Stack::open(&stack).unwrap().case;
+    let curve = case.calibration.unwrap().curve();
+    let mut medians = Vec::new();
+    for noise in [1e-3, 1e-5] {
+        let points: Vec<CalibrationPoint> = (0..10)
+            .map(|i| {
+                let temperature_k = 360.0 + 20.0 * f64::from(i);
+                let counts = curve.value(temperature_k);
+                CalibrationPoint { temperature_k, counts, sigma_counts: noise * counts }
+            })
+            .collect();
+        let fitted = calibration::fit_curve(&points, OffsetMode::Known(0.0)).unwrap();
+        let file = dir.path().join("curve.json");
+        std::fs::write(&file, serde_json::to_string(&fitted).unwrap()).unwrap();
+        let file = file.to_str().unwrap();
+        let known = summary(&["--json", "--calibration", file]);
+        assert_eq!(known["budget"]["not_in_it"], serde_json::json!(unknown[1..]));
+        let median = |name: &str| known["budget"]["median_k"][name].as_f64().unwrap();
+        let (part, total) = (median("sigma_t_calibration_k"), median("sigma_t_total_k"));
+        assert!(part > 0.0 && total >= part, "{part} {total}");
+        assert!(run(&["--calibration", file]).contains("the calibration curve"));
+        medians.push(part);
+    }
+    assert!(medians[1] < 0.1 * medians[0], "{medians:?}");
+}

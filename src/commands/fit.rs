@@ -6,12 +6,14 @@ mod pixel;
 mod walls;
 
 use super::{CommandError, CommandResult, print};
+use crate::estimate::budget::Budget;
 use crate::estimate::calibration::SakumaHattori;
 use crate::estimate::convergence::Step;
 use crate::estimate::line::Fieller;
 use crate::estimate::map::{self, DitMap, Estimator};
 use crate::estimate::mask::Limits;
 use crate::files::{self, ResultMeta};
+use crate::result::budget_of;
 use crate::session;
 use crate::stack::{Calibration, CaseCurve, Fitted, Stack, StackError};
 use serde::Deserialize;
@@ -165,8 +167,12 @@ fn fit_stack(args: &Args) -> CommandResult {
     };
     let mut stack = Stack::open(&args.path)?;
     let estimator = args.estimator.into();
-    let inputs = inputs_of(&stack, args, estimator)?;
-    let mut fitted = stack.fit(&inputs)?;
+    let calibration = calibration_of(&stack, args)?;
+    let inputs = inputs_of(&stack, estimator, calibration.as_ref());
+    let (mut fitted, sums) = stack.fit_keeping_sums(&inputs)?;
+    if let Some(fit) = calibration.as_ref().and_then(|calibration| calibration.fit.as_ref()) {
+        fitted.map.budget = Some(stack.budget(&fitted.map, &sums, &inputs, fit));
+    }
     args.masks.limits().apply(&mut fitted.map);
     let mut summary = summary(&stack, &inputs, &fitted);
     summary["masks"] = json!({
@@ -188,20 +194,25 @@ fn fit_stack(args: &Args) -> CommandResult {
     if args.json { print(&text) } else { print(&(readable(&fitted, out) + &more)) }
 }
 
+/// The curve that takes the place of a stack's own, if one is given.
+fn calibration_of(stack: &Stack, args: &Args) -> Result<Option<Calibration>, CommandError> {
+    if args.calibration.is_none() && stack.case.calibration.is_none() {
+        return Err(CommandError::usage(format!(
+            "fit {}: case.json has no calibration. Give --calibration FILE.",
+            args.path.display()
+        )));
+    }
+    Ok(args.calibration.as_deref().map(Calibration::read).transpose()?)
+}
+
 /// What a stack is fitted with.
 fn inputs_of(
     stack: &Stack,
-    args: &Args,
     estimator: Estimator,
-) -> Result<map::FitInputs<'static>, CommandError> {
-    match &args.calibration {
-        Some(file) => Ok(stack.inputs_with(estimator, &Calibration::read(file)?)),
-        None if stack.case.calibration.is_none() => Err(CommandError::usage(format!(
-            "fit {}: case.json has no calibration. Give --calibration FILE.",
-            args.path.display()
-        ))),
-        None => Ok(stack.inputs(estimator)),
-    }
+    calibration: Option<&Calibration>,
+) -> map::FitInputs<'static> {
+    calibration
+        .map_or_else(|| stack.inputs(estimator), |calibration| stack.inputs_with(estimator, calibration))
 }
 
 /// Emissivity above which pixels of a stack count where not all do.
@@ -261,6 +272,7 @@ fn summary(stack: &Stack, inputs: &map::FitInputs<'_>, fitted: &Fitted) -> Value
         "sigma_temperature_k": quantiles(&map.sigma_temperature_k),
         "emissivity": quantiles(&map.emissivity),
         "inputs": calibration_json(inputs),
+        "budget": map.budget.as_ref().map(|budget| budget_of(budget, map, EMISSIVITY_MIN)),
     })
 }
 
@@ -290,7 +302,27 @@ fn readable(fitted: &Fitted, out: &Path) -> String {
     for (name, pixels) in fitted.map.flag_counts().into_iter().filter(|(_, pixels)| *pixels > 0) {
         text += &format!("  {pixels:8} pixels {name}\n");
     }
+    if let Some(budget) = &fitted.map.budget {
+        text += &uncertainty(budget, &fitted.map);
+    }
     text + &format!("written to {}\n", out.display())
+}
+
+/// What the standard deviations hold, and what they do not.
+fn uncertainty(budget: &Budget, map: &DitMap) -> String {
+    let figures = budget_of(budget, map, EMISSIVITY_MIN);
+    let mut text = String::from(
+        "sigma_temperature_k is statistical: the camera's noise and differences between shots\n",
+    );
+    for part in budget.parts.iter().filter(|part| part.systematic) {
+        if let Some(median) = figures["median_k"][part.name].as_f64() {
+            text += &format!("  besides, common to all pixels: {} {median:.2} K (median)\n", part.of);
+        }
+    }
+    if !budget.absent.is_empty() {
+        text += &format!("  not known, and in no sigma: {}\n", budget.absent.join(", "));
+    }
+    text
 }
 
 /// A file of lines with known variances. Numbers are decimal texts or numbers.

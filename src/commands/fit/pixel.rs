@@ -36,7 +36,8 @@ fn place(text: &str) -> Result<(usize, usize), String> {
 pub(super) fn of_stack(args: &Args, at: (usize, usize)) -> CommandResult {
     let mut stack = Stack::open(&args.path)?;
     let estimator = args.estimator.into();
-    let inputs = super::inputs_of(&stack, args, estimator)?;
+    let calibration = super::calibration_of(&stack, args)?;
+    let inputs = super::inputs_of(&stack, estimator, calibration.as_ref());
     let (mut fitted, sums) = stack.fit_keeping_sums(&inputs)?;
     args.masks.limits().apply(&mut fitted.map);
     let facts: Vec<LevelFacts> = fitted

@@ -42,15 +42,7 @@ pub(super) fn whole<F>(map: &mut impl Answers<F>) -> (Channels<'_, F>, &mut [u32
 /// The first `n` pixels of what is left of all channels.
 #[inline(always)]
 pub(super) fn cut_channels<'a, F>(left: &mut Channels<'a, F>, n: usize) -> Channels<'a, F> {
-    left.each_mut().map(|left| cut(left, n.min(left.len())))
-}
-
-/// Takes the first `n` of what is left.
-#[inline(always)]
-pub(super) fn cut<'a, T>(left: &mut &'a mut [T], n: usize) -> &'a mut [T] {
-    let (first, rest) = std::mem::take(left).split_at_mut(n);
-    *left = rest;
-    first
+    left.each_mut().map(|left| left.split_off_mut(..n.min(left.len())).expect("no longer than it is"))
 }
 
 /// Takes everything but the gain from pixel `i`, which is not looked at, and the flags of its line.

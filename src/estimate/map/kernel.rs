@@ -9,8 +9,9 @@
 
 use super::lanes::Lanes;
 use super::levels::Levels;
-use super::lines::{self, Lined, Place, Plain};
+use super::lines::{self, Credible, Lined, Place, Plain};
 use super::verdict::{Answer, Fitted, judge, quantile};
+use super::ways::Way;
 use super::weights::{Law, camera_noise, ours};
 use super::{Estimator, FitInputs, flag};
 use crate::estimate::line::ROUNDING_VARIANCE;
@@ -59,6 +60,39 @@ impl Constants {
     }
 }
 
+/// Constants as vectors, worked out once a row: a number that is read, rounded and spread costs three instructions.
+#[derive(Clone, Copy)]
+pub(super) struct Everywhere<V> {
+    /// x of the first level; 0 without one.
+    pub(super) first_x: V,
+    /// See [`Constants`].
+    pub(super) fixed: V,
+    pub(super) per_count: V,
+    pub(super) zero_counts: V,
+    pub(super) gamma_far: V,
+    pub(super) normal: V,
+    /// One over the blanks of a cycle, and over the near window's transmittance.
+    pub(super) per_blank: V,
+    pub(super) per_gamma: V,
+}
+
+impl<V: Lanes> Everywhere<V> {
+    /// `one` is any vector.
+    #[inline(always)]
+    pub(super) fn new(one: V, constants: &Constants) -> Self {
+        Self {
+            first_x: one.all(constants.x.first().copied().unwrap_or(0.0)),
+            fixed: one.all(constants.fixed),
+            per_count: one.all(constants.per_count),
+            zero_counts: one.all(constants.zero_counts),
+            gamma_far: one.all(constants.gamma_far),
+            normal: one.all(constants.normal),
+            per_blank: one.all(1.0 / constants.blanks),
+            per_gamma: one.all(1.0 / constants.gamma_near),
+        }
+    }
+}
+
 fn even(mut powers: Vec<f64>) -> Vec<f64> {
     powers.resize(powers.len().next_multiple_of(2), 0.0);
     powers
@@ -81,6 +115,8 @@ pub(super) struct Level<V> {
 pub(super) struct Group<V> {
     /// Gain of the pixels against the calibrated one.
     pub(super) flat: V,
+    /// Whether all gains are 1.
+    pub(super) even: bool,
     /// Flags so far.
     pub(super) flags: V,
     /// Where a pixel changes at all: 1, else 0.
@@ -97,9 +133,10 @@ pub(super) struct Group<V> {
 pub(super) struct Ground<'a, V> {
     /// Any vector.
     pub(super) one: V,
-    pub(super) constants: &'a Constants,
+    pub(super) constants: Everywhere<V>,
     pub(super) places: &'a [Place<V>],
     pub(super) plain: Plain<V>,
+    pub(super) credible: Credible<V>,
     /// See [`Constants::quantile`].
     pub(super) powers: &'a [V],
 }
@@ -111,6 +148,8 @@ pub(super) struct Scratch<V: Lanes, L: Levels> {
     pub(super) means: L::Each<V>,
     pub(super) darks: L::Each<V>,
     pub(super) weights: L::Each<V>,
+    /// The camera's own variances.
+    pub(super) cameras: L::Each<V>,
     pub(super) laws: L::Each<Law<V>>,
 }
 
@@ -124,6 +163,7 @@ impl<V: Lanes, L: Levels> Scratch<V, L> {
             means: L::each(zero, levels),
             darks: L::each(zero, levels),
             weights: L::each(zero, levels),
+            cameras: L::each(zero, levels),
             laws: L::each(Law::none(zero), levels),
         }
     }
@@ -153,9 +193,8 @@ impl<V: Lanes, L: Levels> Scratch<V, L> {
 
 /// Fits a group: gain, line, uncertainty, and everything but temperatures.
 #[inline(always)]
-pub(super) fn fit<V: Lanes, L: Levels>(
+pub(super) fn fit<V: Lanes, W: Way, L: Levels>(
     ground: &Ground<'_, V>,
-    estimator: Estimator,
     mut group: Group<V>,
     scratch: &mut Scratch<V, L>,
 ) -> Answer<V> {
@@ -163,23 +202,19 @@ pub(super) fn fit<V: Lanes, L: Levels>(
     let zero = one.all(0.0);
     group.first_mean = scratch.relate(one, ground.places, group.alike);
     let gains = gain(ground, scratch.darks.as_ref());
-    let (fitted, defined) = match estimator {
+    let (fitted, defined) = match W::ESTIMATOR {
         Estimator::Ols => unweighted(ground, &group, scratch),
         Estimator::Paper => papers(ground, &group, scratch),
         Estimator::Default => ours(ground, &group, scratch),
     };
-    let mut answer = judge(one, ground.constants, estimator == Estimator::Default, &fitted);
     // Without a line: nothing but a flag. Our own estimator says nothing of pixels that never change either.
-    let seen = match estimator {
+    let seen = match W::ESTIMATOR {
         Estimator::Default => one.both(defined, zero.below(group.alive)),
         Estimator::Paper | Estimator::Ols => defined,
     };
-    let nan = one.all(f64::NAN);
-    for channel in &mut answer.channels {
-        *channel = V::pick(seen, *channel, nan);
-    }
+    let mut answer = judge(one, &ground.constants, W::ESTIMATOR == Estimator::Default, seen, &fitted);
     let undefined = V::pick(defined, zero, one.all(f64::from(flag::TOO_FEW_LEVELS)));
-    answer.flags = group.flags + undefined + V::pick(seen, answer.flags, zero);
+    answer.flags = group.flags + undefined + answer.flags;
     (answer.channels[GAIN], answer.channels[GAIN + 1]) = gains;
     answer
 }
@@ -191,7 +226,7 @@ pub(super) const SIGMA_GAIN: usize = 14;
 /// Slope of the blanks against I_cal and its standard deviation; NaN below two and three levels.
 #[inline(always)]
 pub(super) fn gain<V: Lanes>(ground: &Ground<'_, V>, darks: &[V]) -> (V, V) {
-    let &Ground { one, constants, places, plain, .. } = ground;
+    let &Ground { one, ref constants, places, plain, .. } = ground;
     let zero = one.all(0.0);
     let (centre, slope) = plain.slope(one, places, darks);
     let chi2 = plain.chi2(one, places, darks, centre, slope);
@@ -199,7 +234,7 @@ pub(super) fn gain<V: Lanes>(ground: &Ground<'_, V>, darks: &[V]) -> (V, V) {
     let variance = chi2 * plain.per_spread / freedom;
     let defined = plain.defined(one);
     let many = one.both(defined, zero.below(freedom));
-    let (nan, far) = (one.all(f64::NAN), one.all(constants.gamma_far));
+    let (nan, far) = (one.all(f64::NAN), constants.gamma_far);
     (V::pick(defined, slope * far, nan), V::pick(many, variance.root() * far, nan))
 }
 
@@ -210,7 +245,7 @@ fn unweighted<V: Lanes, L: Levels>(
     group: &Group<V>,
     scratch: &mut Scratch<V, L>,
 ) -> (Fitted<V>, V::Mask) {
-    let &Ground { one, constants, places, plain, powers } = ground;
+    let &Ground { one, ref constants, places, plain, powers, .. } = ground;
     let (zero, unit) = (one.all(0.0), one.all(1.0));
     for (weight, place) in scratch.weights.as_mut().iter_mut().zip(places) {
         *weight = place.here;
@@ -234,7 +269,7 @@ fn unweighted<V: Lanes, L: Levels>(
     let per_freedom = unit / freedom;
     let scale = V::pick(some, chi2 * per_freedom, one.all(f64::NAN));
     let of_slope = scale * plain.per_spread;
-    let t = quantile(one, constants, powers, V::pick(some, per_freedom, unit));
+    let t = quantile(one, constants.normal, powers, V::pick(some, per_freedom, unit));
     let fitted = Fitted {
         line,
         covariance: [of_slope, scale * plain.per_weight, zero],
@@ -253,7 +288,7 @@ fn papers<V: Lanes, L: Levels>(
     group: &Group<V>,
     scratch: &mut Scratch<V, L>,
 ) -> (Fitted<V>, V::Mask) {
-    let &Ground { one, constants, places, .. } = ground;
+    let &Ground { one, ref constants, places, .. } = ground;
     let (zero, unit) = (one.all(0.0), one.all(1.0));
     let floor = one.all(ROUNDING_VARIANCE);
     let mut single = unit.below(zero);
@@ -263,12 +298,12 @@ fn papers<V: Lanes, L: Levels>(
         let once = one.both(zero.below(place.count), place.count.at_most(unit));
         single = one.either(single, once);
     }
-    let first = (one.all(constants.x.first().copied().unwrap_or(0.0)), group.first_mean);
+    let first = (constants.first_x, group.first_mean);
     let (values, weights) = (scratch.means.as_ref(), scratch.weights.as_ref());
     let sums = lines::sums(one, places, values, weights, first);
     let line = sums.line(one, places, values, weights);
     let defined = sums.defined(one);
-    let normal = one.all(constants.normal);
+    let normal = constants.normal;
     let own = Fitted {
         line,
         covariance: [line.per_spread, line.per_weight, zero],

@@ -11,6 +11,10 @@ pub(super) const WIDEST: usize = 16;
 /// Bytes of a line of the cache, which a vector should not straddle.
 const LINE: usize = 64;
 
+/// Vectors of x86 have a greatest and a least number of two that are these choices to the bit: the second where one is
+/// NaN, or both are zero. Other machines' have rules of their own.
+const NATIVE_EXTREMES: bool = cfg!(target_arch = "x86_64");
+
 /// Numbers that begin with a line of the cache.
 #[derive(Debug)]
 pub(super) struct Aligned<T> {
@@ -59,26 +63,21 @@ pub(super) trait Lanes:
     fn both(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// Either.
     fn either(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// The first without the second.
+    fn without(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// Where `mask`, `yes`, else `no`.
     fn pick(mask: Self::Mask, yes: Self, no: Self) -> Self;
     /// Square root.
     fn root(self) -> Self;
+    /// The larger; `other` if one is NaN, or both are zero.
+    fn larger(self, other: Self) -> Self;
+    /// The smaller, in the same way.
+    fn smaller(self, other: Self) -> Self;
+
     /// Absolute value; ±0 and NaN stay what they are.
     #[inline(always)]
     fn size(self) -> Self {
         self.larger(self.all(0.0) - self)
-    }
-
-    /// The larger; `other` if one is NaN.
-    #[inline(always)]
-    fn larger(self, other: Self) -> Self {
-        Self::pick(other.below(self), self, other)
-    }
-
-    /// The smaller; `other` if one is NaN.
-    #[inline(always)]
-    fn smaller(self, other: Self) -> Self {
-        Self::pick(self.below(other), self, other)
     }
 
     /// Neither NaN nor infinite.
@@ -110,7 +109,7 @@ macro_rules! operator {
 
 macro_rules! lanes {
     ($name:ident, $vector:ident, $mask:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $div:ident,
-     $below:ident, $at_most:ident, $and:ident, $or:ident, $select:ident, $sqrt:ident, $as:ty) => {
+     $below:ident, $at_most:ident, $and:ident, $or:ident, $not:ident, $select:ident, $sqrt:ident, $max:ident, $min:ident, $lanes:ident, $as:ty) => {
         /// A vector of this machine, on a line of the cache.
         #[derive(Clone, Copy)]
         #[repr(align(64))]
@@ -152,6 +151,11 @@ macro_rules! lanes {
             }
 
             #[inline(always)]
+            fn without(self, a: Self::Mask, b: Self::Mask) -> Self::Mask {
+                MaskOf(self.0, self.0.$and(a.1, self.0.$not(b.1)))
+            }
+
+            #[inline(always)]
             fn pick(mask: Self::Mask, yes: Self, no: Self) -> Self {
                 Self(yes.0, yes.0.$select(mask.1, yes.1, no.1))
             }
@@ -159,6 +163,24 @@ macro_rules! lanes {
             #[inline(always)]
             fn root(self) -> Self {
                 Self(self.0, self.0.$sqrt(self.1))
+            }
+
+            #[inline(always)]
+            fn larger(self, other: Self) -> Self {
+                if NATIVE_EXTREMES && S::$lanes > 1 {
+                    Self(self.0, self.0.$max(self.1, other.1))
+                } else {
+                    Self::pick(other.below(self), self, other)
+                }
+            }
+
+            #[inline(always)]
+            fn smaller(self, other: Self) -> Self {
+                if NATIVE_EXTREMES && S::$lanes > 1 {
+                    Self(self.0, self.0.$min(self.1, other.1))
+                } else {
+                    Self::pick(self.below(other), self, other)
+                }
             }
         }
     };
@@ -181,8 +203,12 @@ lanes!(
     less_than_or_equal_f64s,
     and_m64s,
     or_m64s,
+    not_m64s,
     select_f64s,
     sqrt_f64s,
+    max_f64s,
+    min_f64s,
+    F64_LANES,
     f64
 );
 lanes!(
@@ -198,8 +224,12 @@ lanes!(
     less_than_or_equal_f32s,
     and_m32s,
     or_m32s,
+    not_m32s,
     select_f32s,
     sqrt_f32s,
+    max_f32s,
+    min_f32s,
+    F32_LANES,
     f32
 );
 

@@ -3,6 +3,7 @@
 //! All sums are formed with centred x and y. What belongs to x and numbers of cycles alone ([`Place`], [`Plain`]) is
 //! worked out once a row where all pixels are alike in that, with the operations that single vectors would take.
 
+use super::kernel::Level;
 use super::lanes::Lanes;
 use super::levels::Levels;
 use crate::estimate::law::FREEDOM_LAW;
@@ -23,6 +24,8 @@ pub(super) struct Place<V> {
     pub(super) per_freedom: V,
     /// One over n − 1 and the law's own degrees of freedom.
     pub(super) per_total: V,
+    /// The same times one over n: what squared deviations give of the variance of a mean.
+    pub(super) own_share: V,
     /// 1 where the level is there, else 0.
     pub(super) here: V,
     /// Distance of x from the mean of all levels that are there, 0 where this is not.
@@ -37,6 +40,14 @@ pub(super) struct Plain<V> {
     pub(super) spread: V,
     pub(super) per_weight: V,
     pub(super) per_spread: V,
+}
+
+/// Crossings that are believed: up to half the range of x outside it.
+#[derive(Clone, Copy)]
+pub(super) struct Credible<V> {
+    low: V,
+    high: V,
+    middle: V,
 }
 
 /// A line.
@@ -77,6 +88,7 @@ pub(super) fn places<V: Lanes, L: Levels>(one: V, x: &[f64]) -> L::Each<Place<V>
         freedom: zero,
         per_freedom: zero,
         per_total: zero,
+        own_share: zero,
         here: zero,
         centred: zero,
     };
@@ -99,6 +111,7 @@ pub(super) fn place<V: Lanes>(one: V, x: &[f64], places: &mut [Place<V>]) -> Pla
         place.freedom = (place.count - unit).larger(zero);
         place.per_freedom = V::pick(zero.below(place.freedom), unit / place.freedom, zero);
         place.per_total = unit / (place.freedom + law);
+        place.own_share = place.per_total * place.share;
         weight = weight + place.here;
         sum = sum + place.here * place.from_first;
     }
@@ -111,6 +124,28 @@ pub(super) fn place<V: Lanes>(one: V, x: &[f64], places: &mut [Place<V>]) -> Pla
     }
     let mean_x = one.all(x.first().copied().unwrap_or(0.0)) + centre;
     Plain { mean_x, weight, spread, per_weight, per_spread: unit / spread }
+}
+
+impl<V: Lanes> Credible<V> {
+    /// Those of the levels that are there.
+    #[inline(always)]
+    pub(super) fn of(one: V, places: &[Place<V>]) -> Self {
+        let (mut low, mut high) = (one.all(f64::INFINITY), one.all(f64::NEG_INFINITY));
+        for place in places {
+            let there = one.all(0.0).below(place.here);
+            low = V::pick(there, low.smaller(place.x), low);
+            high = V::pick(there, high.larger(place.x), high);
+        }
+        let margin = (high - low) * one.all(0.5);
+        let middle = (high + low) * one.all(0.5);
+        Self { low: low - margin, high: high + margin, middle }
+    }
+
+    /// The nearest of them; the middle for what is no number.
+    #[inline(always)]
+    pub(super) fn clip(&self, crossing: V) -> V {
+        V::pick(crossing.finite(), crossing.smaller(self.high).larger(self.low), self.middle)
+    }
 }
 
 impl<V: Lanes> Plain<V> {
@@ -175,13 +210,30 @@ pub(super) fn sums<V: Lanes>(
     Summed { mean_x: x0 + centre_x, mean_y: y0 + centre_y, weight, per_weight, spread, sxy, centre_y }
 }
 
-impl<V: Lanes> Summed<V> {
-    /// Where the line is zero.
-    #[inline(always)]
-    pub(super) fn crossing(&self) -> V {
-        self.mean_x - self.mean_y * self.spread / self.sxy
+/// Where a weighted line is zero, in one go: weights that follow from it do not ask for the digits that it loses where one
+/// level outweighs the others by far. `mean_x` is that of the unweighted line.
+#[inline(always)]
+pub(super) fn rough_crossing<V: Lanes>(
+    one: V,
+    places: &[Place<V>],
+    levels: &[Level<V>],
+    weights: &[V],
+    mean_x: V,
+) -> V {
+    let zero = one.all(0.0);
+    let (mut s, mut sx, mut sy, mut sxx, mut sxy) = (zero, zero, zero, zero, zero);
+    for ((place, level), &w) in places.iter().zip(levels).zip(weights) {
+        let (wx, wy) = (w * place.centred, w * level.mean);
+        s = s + w;
+        sx = sx + wx;
+        sy = sy + wy;
+        sxx = sxx + wx * place.centred;
+        sxy = sxy + wx * level.mean;
     }
+    mean_x + (sx * sxy - sxx * sy) / (s * sxy - sx * sy)
+}
 
+impl<V: Lanes> Summed<V> {
     /// Whether there is a line.
     #[inline(always)]
     pub(super) fn defined(&self, one: V) -> V::Mask {

@@ -7,11 +7,12 @@
 //! operations, logarithms of our own.
 //!
 //! Knows nothing of files, frames or instruments. In reading order: what goes in (`inputs`), what comes out (`full`,
-//! `look`, `answers`) and what the flags mean (`flag`); the walk over the image (`solver`), its rows (`rows`, `statistics`,
-//! `pool`), a row's way to its answers (`writer`), the mathematics (`kernel`: `lines`, `weights`, `verdict`) in vectors (`lanes`) of
+//! `look`, `answers`) and what the flags mean (`flag`); the walk over the image (`solver`), its rows (`rows`, `ahead`, `statistics`,
+//! `pool`), a row's way to its answers (`writer`, `ways`), the mathematics (`kernel`: `lines`, `weights`, `verdict`) in vectors (`lanes`) of
 //! some `levels`, the pixels that go alone (`single`, `residuals`), temperatures (`thermometer`), pixels beside the `plate`;
 //! questions about single pixels (`queries`); single lines (`known`).
 
+mod ahead;
 mod answers;
 pub mod flag;
 mod full;
@@ -32,6 +33,7 @@ mod solver;
 mod statistics;
 mod thermometer;
 mod verdict;
+mod ways;
 mod weights;
 mod writer;
 

@@ -1,10 +1,10 @@
 //! Pixels that do not see the plate: their blanks do not follow it.
 
 use super::answers::{self, Answers};
-use super::kernel::{self, GAIN, Ground, SIGMA_GAIN, Scratch};
+use super::kernel::{self, Everywhere, GAIN, Ground, SIGMA_GAIN, Scratch};
 use super::lanes::Machine;
 use super::levels::Any;
-use super::lines;
+use super::lines::{self, Credible};
 use super::rows::{Row, Walk};
 use super::solver::Common;
 use super::{Estimator, flag};
@@ -88,7 +88,9 @@ fn sigma_gain<F: Machine>(common: &Common<'_>, row: &Row<'_, F>, column: usize) 
     }
     let plain = lines::place(one, &constants.x, &mut places);
     scratch.relate(one, &places, false);
-    let ground = Ground { one, constants, places: &places, plain, powers: &[] };
+    let credible = Credible::of(one, &places);
+    let constants = Everywhere::new(one, constants);
+    let ground = Ground { one, constants, places: &places, plain, credible, powers: &[] };
     let mut sigma = [F::NAN];
     F::write::<Scalar>(&mut sigma, kernel::gain(&ground, &scratch.darks).1);
     sigma[0]

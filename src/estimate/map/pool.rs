@@ -1,11 +1,8 @@
 //! Variances pooled over a pixel's neighbours: windows of 5 × 5, cut at the edges.
 
 use super::lanes::{Aligned, Number};
-use super::rows::{KEPT, RADIUS, Slot};
+use super::rows::{RADIUS, Slot, WINDOW};
 use std::ops::Range;
-
-/// Rows of a window.
-const WINDOW: usize = 2 * RADIUS + 1;
 
 /// Pooled variances of one row, and what the next row may use again.
 pub(super) struct Pool<F> {
@@ -44,7 +41,7 @@ impl<F: Number> Pool<F> {
         for (k, to) in self.pooled.chunks_exact_mut(n).enumerate() {
             let here = k * n..(k + 1) * n;
             let [a, b, c, d, e] =
-                rows(window.clone(), |row| &slots[row % KEPT].squares[here.clone()], &self.nothing);
+                rows(window.clone(), |row| &slots[row % WINDOW].squares[here.clone()], &self.nothing);
             let inner = &mut self.vertical[RADIUS..RADIUS + n];
             for i in 0..n {
                 inner[i] = a[i] + b[i] + c[i] + d[i] + e[i];
@@ -63,7 +60,7 @@ impl<F: Number> Pool<F> {
         let mut plain = true;
         let mut known = self.known.0 == window.len();
         for row in window.clone() {
-            let slot = &slots[row % KEPT];
+            let slot = &slots[row % WINDOW];
             plain &= slot.plain();
             for (count, before) in slot.count.chunks_exact(n).zip(&self.known.1) {
                 known &= count[0] == *before;
@@ -78,7 +75,7 @@ impl<F: Number> Pool<F> {
             let inner = &mut self.vertical[RADIUS..RADIUS + n];
             inner.fill(F::of(0.0));
             for row in window.clone() {
-                let slot = &slots[row % KEPT];
+                let slot = &slots[row % WINDOW];
                 let (count, alive) = (&slot.count[here.clone()], &slot.alive[..n]);
                 for i in 0..n {
                     let weight = if count[i] < one { F::of(0.0) } else { (count[i] - one) * alive[i] };
@@ -90,12 +87,12 @@ impl<F: Number> Pool<F> {
                 to[i] = one / (v[i] + v[i + 1] + v[i + 2] + v[i + 3] + v[i + 4]);
             }
         }
-        let first = &slots[window.start % KEPT];
+        let first = &slots[window.start % WINDOW];
         let mut alike = plain;
         for (k, known) in self.known.1.iter_mut().enumerate() {
             *known = first.count[k * n];
             for row in window.clone() {
-                alike &= slots[row % KEPT].count[k * n] == *known;
+                alike &= slots[row % WINDOW].count[k * n] == *known;
             }
         }
         self.known.0 = if alike { window.len() } else { 0 };

@@ -3,6 +3,7 @@
 //! Rows of statistics are kept, since a pooled variance needs two rows above and two below. A row's bits do not
 //! depend on where the walk began, so any cut of the image among threads gives the same map.
 
+use super::ahead::Ahead;
 use super::lanes::{Aligned, Number, WIDEST};
 use super::pool::Pool;
 use super::statistics::{Statistics, saturated, statistics};
@@ -13,12 +14,8 @@ use std::ops::Range;
 /// Rows and columns on each side of a pixel that lend it their variances: windows of 5 × 5.
 pub(super) const RADIUS: usize = 2;
 
-/// Rows whose sums are read in one go: the machine fetches ahead within pages of memory, and a row of one sum is
-/// hardly longer than a page.
-const GULP: usize = 2;
-
-/// Rows that are kept: a window's, and what is read ahead.
-pub(super) const KEPT: usize = 2 * RADIUS + GULP;
+/// Rows of a window.
+pub(super) const WINDOW: usize = 2 * RADIUS + 1;
 
 /// Statistics of a row, each `[level][stride]`, levels with an x only.
 pub(super) struct Row<'a, F> {
@@ -41,6 +38,10 @@ pub(super) struct Row<'a, F> {
     pub(super) flat: &'a [F],
     pub(super) flags: &'a [F],
     pub(super) alive: &'a [F],
+    /// Whether all gains are 1.
+    pub(super) even: bool,
+    /// Sums of the next row that will be read.
+    pub(super) ahead: Ahead<'a>,
     /// Whether any of its pixels has a level of one cycle.
     pub(super) singles: bool,
     /// Whether every level has as many cycles in all of its pixels, and at least one.
@@ -79,21 +80,11 @@ pub(super) struct Slot<F> {
     before: bool,
 }
 
-impl<F> Slot<F> {
-    /// Whether the weights of its variances follow from the first pixel's.
-    pub(super) fn plain(&self) -> bool {
-        self.alike && self.lively
-    }
-}
-
-impl<'a, F: Number> Walk<'a, F> {
-    /// A walk through the levels `used`.
-    pub(super) fn new(sums: &'a Sums, inputs: &FitInputs<'a>, used: &'a [usize]) -> Self {
-        let columns = sums.columns();
-        let stride = columns.next_multiple_of(WIDEST);
+impl<F: Number> Slot<F> {
+    fn new(levels: usize, stride: usize, columns: usize) -> Self {
         let zero = F::of(0.0);
-        let all = || Aligned::new(zero, used.len() * stride);
-        let slot = || Slot {
+        let all = || Aligned::new(zero, levels * stride);
+        Self {
             count: all(),
             mean: all(),
             squares: all(),
@@ -107,15 +98,27 @@ impl<'a, F: Number> Walk<'a, F> {
             alike: false,
             lively: true,
             before: false,
-        };
+        }
+    }
+
+    /// Whether the weights of its variances follow from the first pixel's.
+    pub(super) fn plain(&self) -> bool {
+        self.alike && self.lively
+    }
+}
+
+impl<'a, F: Number> Walk<'a, F> {
+    /// A walk through the levels `used`.
+    pub(super) fn new(sums: &'a Sums, inputs: &FitInputs<'a>, used: &'a [usize]) -> Self {
+        let columns = sums.columns();
         Self {
             sums,
             used,
             flat_gain: inputs.flat_gain,
             columns,
-            stride,
-            slots: std::iter::repeat_with(slot).take(KEPT).collect(),
-            pool: Pool::new(used.len(), stride),
+            stride: columns.next_multiple_of(WIDEST),
+            slots: Vec::new(),
+            pool: Pool::new(0, 0),
             rows: 0..0,
             filled: 0,
             reach: 0,
@@ -124,9 +127,22 @@ impl<'a, F: Number> Walk<'a, F> {
 
     /// Goes to the first of some rows; [`Self::row`] then takes them in order.
     pub(super) fn start(&mut self, rows: Range<usize>, pool: bool) {
+        let (levels, stride) = (self.used.len(), self.stride);
+        let kept = if pool { WINDOW } else { 1 };
+        if self.slots.len() != kept {
+            self.slots =
+                std::iter::repeat_with(|| Slot::new(levels, stride, self.columns)).take(kept).collect();
+            self.pool = Pool::new(levels, stride);
+        }
         self.reach = if pool { RADIUS } else { 0 };
         self.filled = rows.start.saturating_sub(self.reach);
         self.rows = rows;
+    }
+
+    /// Where the statistics of a row are.
+    #[inline(always)]
+    fn place(&self, row: usize) -> usize {
+        if self.reach > 0 { row % WINDOW } else { 0 }
     }
 
     /// Pixels of a row.
@@ -139,16 +155,16 @@ impl<'a, F: Number> Walk<'a, F> {
     pub(super) fn row(&mut self) -> Option<Row<'_, F>> {
         let row = self.rows.next()?;
         while self.filled < (row + self.reach + 1).min(self.sums.rows()) {
-            let last = (self.rows.end + self.reach).min(self.sums.rows());
-            let to = (self.filled + GULP).min(last);
-            self.fill(self.filled..to);
-            self.filled = to;
+            self.fill(self.filled);
+            self.filled += 1;
         }
         if self.reach > 0 {
             let window = row.saturating_sub(RADIUS)..(row + RADIUS + 1).min(self.sums.rows());
             self.pool.take(&self.slots, window);
         }
-        let slot = &self.slots[row % KEPT];
+        let slot = &self.slots[self.place(row)];
+        let last = (self.rows.end + self.reach).min(self.sums.rows());
+        let next = if self.filled < last { self.pixels(self.filled) } else { 0..0 };
         Some(Row {
             row,
             columns: self.columns,
@@ -158,6 +174,8 @@ impl<'a, F: Number> Walk<'a, F> {
             squares: &slot.squares,
             blank: &slot.blank,
             pooled: &self.pool.pooled,
+            even: self.flat_gain.is_none(),
+            ahead: Ahead::new(self.sums, self.used, next),
             flat: &slot.flat,
             flags: &slot.flags,
             alive: &slot.alive,
@@ -166,38 +184,32 @@ impl<'a, F: Number> Walk<'a, F> {
         })
     }
 
-    /// Statistics of some rows.
+    /// Statistics of a row.
     #[inline(always)]
-    fn fill(&mut self, rows: Range<usize>) {
-        for row in rows.clone() {
-            let slot = &mut self.slots[row % KEPT];
-            (slot.before, slot.alike) = (slot.alike, !self.used.is_empty());
-        }
+    fn fill(&mut self, row: usize) {
+        let range = self.pixels(row);
+        let at = self.place(row);
+        let slot = &mut self.slots[at];
+        (slot.before, slot.alike) = (slot.alike, !self.used.is_empty());
         for (k, &level) in self.used.iter().enumerate() {
             let level = &self.sums.levels()[level];
-            for row in rows.clone() {
-                let range = self.pixels(row);
-                let slot = &mut self.slots[row % KEPT];
-                let to = k * self.stride..k * self.stride + self.columns;
-                let out = Statistics {
-                    count: &mut slot.count[to.clone()],
-                    mean: &mut slot.mean[to.clone()],
-                    squares: &mut slot.squares[to.clone()],
-                    blank: &mut slot.blank[to],
-                };
-                slot.alike &= statistics(level, range, self.sums.blanks_per_cycle(), slot.before, out);
-            }
+            let to = k * self.stride..k * self.stride + self.columns;
+            let out = Statistics {
+                count: &mut slot.count[to.clone()],
+                mean: &mut slot.mean[to.clone()],
+                squares: &mut slot.squares[to.clone()],
+                blank: &mut slot.blank[to],
+            };
+            slot.alike &= statistics(level, range.clone(), self.sums.blanks_per_cycle(), slot.before, out);
         }
-        for row in rows {
-            self.finish(row);
-        }
+        self.finish(row);
     }
 
     /// Gains, flags and life of a row whose statistics are there.
     #[inline(always)]
     fn finish(&mut self, row: usize) {
-        let (range, columns) = (self.pixels(row), self.columns);
-        let slot = &mut self.slots[row % KEPT];
+        let (range, columns, at) = (self.pixels(row), self.columns, self.place(row));
+        let slot = &mut self.slots[at];
         if let Some(flat) = self.flat_gain {
             slot.flat.iter_mut().zip(&flat[range.clone()]).for_each(|(to, &gain)| *to = F::of(gain));
             for k in 0..self.used.len() {
@@ -247,14 +259,15 @@ impl<'a, F: Number> Walk<'a, F> {
 
     /// Marks pixels of a row that never change.
     fn find_constant(&mut self, row: usize) {
+        let at = self.place(row);
         for i in 0..self.columns {
-            let slot = &self.slots[row % KEPT];
+            let slot = &self.slots[at];
             let first = slot.count[i];
             if first >= F::of(2.0) && F::of(0.0) < slot.squares[i] {
                 continue;
             }
             let still = self.constancy(row, i);
-            let slot = &mut self.slots[row % KEPT];
+            let slot = &mut self.slots[at];
             if still != 0 {
                 slot.flags[i] = F::of(f64::from(slot.lost[i] | still));
             }
@@ -267,7 +280,7 @@ impl<'a, F: Number> Walk<'a, F> {
 
     /// Flags of a pixel that does not change: judged by the exact sums, since means of unlike counts are rounded.
     fn constancy(&self, row: usize, column: usize) -> u32 {
-        let slot = &self.slots[row % KEPT];
+        let slot = &self.slots[self.place(row)];
         let (zero, two) = (F::of(0.0), F::of(2.0));
         let pixel = row * self.columns + column;
         let at = |k: usize| k * self.stride + column;

@@ -1,7 +1,7 @@
 //! Pixels one by one: those whose variances cannot be pooled (one cycle a level), and the weights of any pixel.
 
-use super::kernel::Constants;
-use super::lanes::{Doubles, Number};
+use super::kernel::{Constants, Everywhere};
+use super::lanes::{Doubles, Lanes, Number};
 use super::lines::Lined;
 use super::rows::Row;
 use super::verdict::{Answer, Fitted, judge, quantile};
@@ -126,7 +126,7 @@ impl Pixel {
         let fit = fit?;
         let one = |value: f64| Doubles(Scalar::new(), value);
         let powers: Vec<_> = constants.quantile.iter().map(|&power| one(power)).collect();
-        let t = |freedom: f64| quantile(one(0.0), constants, &powers, one(1.0 / freedom));
+        let t = |freedom: f64| quantile(one(0.0), one(constants.normal), &powers, one(1.0 / freedom));
         let flags = if fit.camera_only { flag::NO_STATISTICS } else { 0 };
         let line = fit.line;
         let d = -line.mean_y / line.slope;
@@ -158,7 +158,8 @@ impl Pixel {
             quantiles: [t(fit.freedom_crossing), t(fit.freedom_slope)],
             flags: one(f64::from(flags)),
         };
-        Some(judge(one(0.0), constants, true, &fitted))
+        let everywhere = one(0.0).at_most(one(0.0));
+        Some(judge(one(0.0), &Everywhere::new(one(0.0), constants), true, everywhere, &fitted))
     }
 
     /// Slope of the unweighted line.

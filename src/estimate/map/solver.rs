@@ -1,6 +1,6 @@
 //! Fits an image: bands of rows on all threads, vectors of pixels within a row. Single pixels: `queries`.
 
-use super::answers::{self, Answers, Channels, cut, cut_channels};
+use super::answers::{self, Answers, Channels, cut_channels};
 use super::kernel::Constants;
 use super::lanes::{Machine, WIDEST};
 use super::plate;
@@ -80,7 +80,8 @@ pub(super) fn solve_into<F: Machine, M: Answers<F>>(sums: &Sums, inputs: &FitInp
         let rows = start..(start + height).min(rows);
         let pixels = rows.len() * columns;
         let channels = cut_channels(&mut channels, pixels);
-        tasks.push(Band { rows, channels, flags: cut(&mut flags, pixels) });
+        let flags = flags.split_off_mut(..pixels).expect("flags of every row");
+        tasks.push(Band { rows, channels, flags });
     }
     let widest = pulp::Arch::new();
     tasks
@@ -108,7 +109,8 @@ impl<F: Machine, M: Answers<F>> pulp::WithSimd for Task<'_, F, M> {
         walk.start(band.rows, common.pools());
         while let Some(row) = walk.row() {
             let channels = cut_channels(&mut band.channels, columns);
-            writer.row(simd, &row, channels, cut(&mut band.flags, columns));
+            let flags = band.flags.split_off_mut(..columns).expect("flags of every row");
+            writer.row(simd, &row, channels, flags);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! From lines to emissivity, crossing, their intervals and flags, for several pixels at once.
 
-use super::kernel::{ASKED, Constants};
+use super::kernel::{ASKED, Everywhere};
 use super::lanes::Lanes;
 use super::lines::Lined;
 use super::{CHANNELS, flag};
@@ -30,9 +30,9 @@ pub(super) struct Answer<V> {
 }
 
 /// t for 1/ν degrees of freedom, clamped to ν ≥ 1: Horner's sum of a polynomial of 1/t in 2/ν − 1,
-/// whose coefficients are `powers`, an even number of them.
+/// whose coefficients are `powers`, an even number of them; `normal` is t of infinitely many.
 #[inline(always)]
-pub(super) fn quantile<V: Lanes>(one: V, constants: &Constants, powers: &[V], inverse_freedom: V) -> V {
+pub(super) fn quantile<V: Lanes>(one: V, normal: V, powers: &[V], inverse_freedom: V) -> V {
     let (zero, unit) = (one.all(0.0), one.all(1.0));
     let u = inverse_freedom.smaller(unit);
     let z = u + u - unit;
@@ -41,17 +41,24 @@ pub(super) fn quantile<V: Lanes>(one: V, constants: &Constants, powers: &[V], in
     for &[even, odd] in powers.as_chunks().0.iter().rev() {
         sum = sum * z_2 + (odd * z + even);
     }
-    V::pick(zero.below(u), unit / sum, one.all(constants.normal))
+    V::pick(zero.below(u), unit / sum, normal)
 }
 
-/// From lines to emissivity, its interval, the crossing and Fieller's set of it.
+/// From lines to emissivity, its interval, the crossing and Fieller's set of it, where there is a line; else NaN and no
+/// flag.
 #[inline(always)]
-pub(super) fn judge<V: Lanes>(one: V, constants: &Constants, ours: bool, fitted: &Fitted<V>) -> Answer<V> {
+pub(super) fn judge<V: Lanes>(
+    one: V,
+    constants: &Everywhere<V>,
+    ours: bool,
+    seen: V::Mask,
+    fitted: &Fitted<V>,
+) -> Answer<V> {
     let (zero, nan) = (one.all(0.0), one.all(f64::NAN));
     let Lined { slope, per_slope, drop: d, chi2, mean_x, mean_y, .. } = fitted.line;
     let [v_slope, v_mean, cross] = fitted.covariance;
     let [t, t_slope] = fitted.quantiles;
-    let per_gamma = one.all(1.0 / constants.gamma_near);
+    let per_gamma = constants.per_gamma;
     let emissivity = (zero - slope) * per_gamma;
     let sigma = fitted.slope_variance.root() * per_gamma;
     let width = t_slope * sigma;
@@ -75,32 +82,31 @@ pub(super) fn judge<V: Lanes>(one: V, constants: &Constants, ours: bool, fitted:
     let r1 = V::pick(nothing, zero, q / a);
     let r2 = V::pick(nothing, zero, c / q);
     let (low, high) = (mean_x + r1.smaller(r2), mean_x + r1.larger(r2));
-    let open = V::pick(bounded, zero, V::pick(v_slope.finite(), one.all(1.0), zero));
-    let opened = zero.below(open);
+    let opened = one.without(v_slope.finite(), bounded);
     let flags = one.bit(negative, flag::NEGATIVE_EMISSIVITY) + fitted.flags;
     let flags = flags + one.bit(opened, flag::NOT_RESOLVED);
     let size = per_slope.size();
     // A line without a slope has no crossing; the NaN of 0 · ∞ carries a sign that depends on how it was compiled.
     let noise = fitted.noise.root() * size;
-    let silent = if ours { one.either(opened, negative) } else { one.below(zero) };
-    let crossing = V::pick(silent, nan, crossing);
+    let told = if ours { one.without(seen, one.either(opened, negative)) } else { seen };
+    let set = one.both(told, bounded);
+    let crossing = V::pick(told, crossing, nan);
     let channels = [
-        slope,
-        mean_y - slope * mean_x,
+        V::pick(seen, slope, nan),
+        V::pick(seen, mean_y - slope * mean_x, nan),
         crossing,
-        emissivity,
+        V::pick(seen, emissivity, nan),
         crossing,
-        sigma,
-        V::pick(silent, nan, variance.root() * size),
-        chi2,
-        emissivity - width,
-        emissivity + width,
-        V::pick(silent, nan, V::pick(bounded, low, nan)),
-        V::pick(silent, nan, V::pick(bounded, high, nan)),
-        V::pick(silent, nan, V::pick(noise.finite(), noise, nan)),
+        V::pick(seen, sigma, nan),
+        V::pick(told, variance.root() * size, nan),
+        V::pick(seen, chi2, nan),
+        V::pick(seen, emissivity - width, nan),
+        V::pick(seen, emissivity + width, nan),
+        V::pick(set, low, nan),
+        V::pick(set, high, nan),
+        V::pick(one.both(told, noise.finite()), noise, nan),
         nan,
         nan,
     ];
-    let asked = V::pick(silent, zero, one.all(f64::from(ASKED)));
-    Answer { channels, flags: flags + asked }
+    Answer { channels, flags: V::pick(seen, flags, zero) + one.bit(told, ASKED) }
 }

@@ -1,10 +1,10 @@
 //! Our own estimator for several pixels at once: the variance law, the weights that follow, and the sandwich of their
 //! uncertainty. See `law` for the reasons.
 
-use super::kernel::{ALONE, Constants, Ground, Group, Level, Scratch};
+use super::kernel::{ALONE, Everywhere, Ground, Group, Scratch};
 use super::lanes::Lanes;
 use super::levels::Levels;
-use super::lines::{self, Lined, Place};
+use super::lines::{self, Lined};
 use super::verdict::{Fitted, quantile};
 use crate::estimate::law::{PASSES, VARIANCE_MIN};
 
@@ -15,63 +15,66 @@ pub(super) fn ours<V: Lanes, L: Levels>(
     group: &Group<V>,
     scratch: &mut Scratch<V, L>,
 ) -> (Fitted<V>, V::Mask) {
-    let &Ground { one, constants, places, plain, .. } = ground;
-    let (zero, unit) = (one.all(0.0), one.all(1.0));
+    measure(ground, group, scratch);
+    let &Ground { one, ref constants, places, plain, .. } = ground;
+    let zero = one.all(0.0);
     let least = one.all(VARIANCE_MIN);
     let (levels, values) = (scratch.levels.as_ref(), scratch.means.as_ref());
     let (weights, laws) = (scratch.weights.as_mut(), scratch.laws.as_mut());
     let defined = plain.defined(one);
-    let first = (one.all(constants.x.first().copied().unwrap_or(0.0)), group.first_mean);
     let (centre, slope) = plain.slope(one, places, values);
-    let mut crossing = plain.mean_x - (first.1 + centre) / slope;
-    let (low, high) = range(one, places);
+    let mut crossing = plain.mean_x - (group.first_mean + centre) / slope;
     let mut pools = zero;
-    let scale = unit / (group.flat * group.flat);
-    for ((law, level), place) in laws.iter_mut().zip(levels).zip(places) {
-        let camera = camera_variance(one, constants, group, scale, level);
+    let each = laws.iter_mut().zip(levels).zip(scratch.cameras.as_ref());
+    for (((law, level), &camera), place) in each.zip(places) {
         let pooled = zero.at_most(level.pooled);
         let near = V::pick(pooled, place.here, zero);
         pools = pools + near;
         let excess = V::pick(pooled, level.pooled - camera, zero);
         // The first pass takes the pooled variances themselves.
-        let inverse = unit / level.pooled.larger(camera).larger(least);
-        *law = Law { camera, near, excess, inverse, variance: zero };
+        let variance = level.pooled.larger(camera).larger(least);
+        *law = Law { camera, near, excess, inverse: zero, variance };
     }
-    // A crossing is believed up to half the range of x outside it.
-    let margin = (high - low) * one.all(0.5);
-    let middle = (high + low) * one.all(0.5);
-    let (low, high) = (low - margin, high + margin);
-    let mut sums = None;
-    for _ in 0..PASSES {
-        let clipped = V::pick(high.below(crossing), high, V::pick(crossing.below(low), low, crossing));
-        let clipped = V::pick(crossing.finite(), clipped, middle);
-        let (mut aa, mut ab, mut bb, mut ay, mut by) = (zero, zero, zero, zero, zero);
-        for (place, law) in places.iter().zip(laws.iter()) {
-            let off = clipped - place.x;
-            let distance = off * off;
-            let r = law.near * law.inverse * law.inverse;
-            let ru = r * distance;
-            aa = aa + r;
-            ab = ab + ru;
-            bb = bb + ru * distance;
-            ay = ay + r * law.excess;
-            by = by + ru * law.excess;
-        }
-        let (a, b) = both_positive(one, [aa, ab, bb, ay, by]);
-        for ((place, law), weight) in places.iter().zip(laws.iter_mut()).zip(weights.iter_mut()) {
-            let off = clipped - place.x;
-            law.variance = (law.camera + a + b * (off * off)).larger(least);
-            law.inverse = unit / law.variance;
-            *weight = place.count * law.inverse;
-        }
-        let of_pass = lines::sums(one, places, values, weights, first);
-        crossing = of_pass.crossing();
-        sums = Some(of_pass);
+    invert(one, laws);
+    for _ in 1..PASSES {
+        weigh(ground, laws, weights, crossing);
+        crossing = lines::rough_crossing(one, places, levels, weights, plain.mean_x);
     }
-    let line = sums.expect("there are passes").line(one, places, values, weights);
+    weigh(ground, laws, weights, crossing);
+    let first = (constants.first_x, group.first_mean);
+    let line = lines::sums(one, places, values, weights, first).line(one, places, values, weights);
     let fitted = sandwich(ground, scratch, &line);
     let alone = one.both(defined, pools.below(one.all(2.0)));
     (Fitted { flags: fitted.flags + one.bit(alone, ALONE), ..fitted }, defined)
+}
+
+/// The law by pooled variances and a crossing, and the weights that follow.
+#[inline(always)]
+fn weigh<V: Lanes>(ground: &Ground<'_, V>, laws: &mut [Law<V>], weights: &mut [V], crossing: V) {
+    let &Ground { one, places, .. } = ground;
+    let (zero, least) = (one.all(0.0), one.all(VARIANCE_MIN));
+    let clipped = ground.credible.clip(crossing);
+    let (mut aa, mut ab, mut bb, mut ay, mut by) = (zero, zero, zero, zero, zero);
+    for (place, law) in places.iter().zip(laws.iter()) {
+        let off = clipped - place.x;
+        let distance = off * off;
+        let r = law.near * law.inverse * law.inverse;
+        let ru = r * distance;
+        aa = aa + r;
+        ab = ab + ru;
+        bb = bb + ru * distance;
+        ay = ay + r * law.excess;
+        by = by + ru * law.excess;
+    }
+    let (a, b) = both_positive(one, [aa, ab, bb, ay, by]);
+    for (place, law) in places.iter().zip(laws.iter_mut()) {
+        let off = clipped - place.x;
+        law.variance = (law.camera + a + b * (off * off)).larger(least);
+    }
+    invert(one, laws);
+    for ((place, law), weight) in places.iter().zip(laws.iter()).zip(weights) {
+        *weight = place.count * law.inverse;
+    }
 }
 
 /// What the law says of a level.
@@ -93,33 +96,56 @@ impl<V: Copy> Law<V> {
     }
 }
 
-/// Least and greatest x of the levels that are there.
+/// Works out the camera's own variance of spray − blank in one cycle, level by level, in the scale of the calibrated gain.
 #[inline(always)]
-fn range<V: Lanes>(one: V, places: &[Place<V>]) -> (V, V) {
-    let (mut low, mut high) = (one.all(f64::INFINITY), one.all(f64::NEG_INFINITY));
-    for place in places {
-        let there = one.all(0.0).below(place.here);
-        low = V::pick(there, low.smaller(place.x), low);
-        high = V::pick(there, high.larger(place.x), high);
+fn measure<V: Lanes, L: Levels>(ground: &Ground<'_, V>, group: &Group<V>, scratch: &mut Scratch<V, L>) {
+    let &Ground { one, ref constants, .. } = ground;
+    let each = scratch.cameras.as_mut().iter_mut().zip(scratch.levels.as_ref());
+    if group.even {
+        for (camera, level) in each {
+            *camera = camera_variance(one, constants, level.blank, level.mean);
+        }
+    } else {
+        let scale = one.all(1.0) / (group.flat * group.flat);
+        for (camera, level) in each {
+            let (blank, mean) = (level.blank * group.flat, level.mean * group.flat);
+            *camera = camera_variance(one, constants, blank, mean) * scale;
+        }
     }
-    (low, high)
 }
 
-/// The camera's own variance of spray − blank in one cycle, in the scale of the calibrated gain; `scale` is 1/flat².
+/// One over the variances: one division for three of them, whose product is far from the ends of f32 (variances of 16 bit
+/// are below 10¹⁰). Two or three roundings more than a quotient each.
 #[inline(always)]
-fn camera_variance<V: Lanes>(
-    one: V,
-    constants: &Constants,
-    group: &Group<V>,
-    scale: V,
-    level: &Level<V>,
-) -> V {
-    let zero = one.all(0.0);
-    let (dark, share) = (one.all(constants.zero_counts), one.all(1.0 / constants.blanks));
-    let blank = level.blank * group.flat;
-    let spray = blank + level.mean * group.flat;
-    let shot = (spray - dark).larger(zero) + (blank - dark).larger(zero) * share;
-    (one.all(constants.fixed) + shot * one.all(constants.per_count)) * scale
+fn invert<V: Lanes>(one: V, laws: &mut [Law<V>]) {
+    let unit = one.all(1.0);
+    let (threes, rest) = laws.as_chunks_mut::<3>();
+    for [a, b, c] in threes {
+        let both = a.variance * b.variance;
+        let inverse = unit / (both * c.variance);
+        let of_both = inverse * c.variance;
+        c.inverse = inverse * both;
+        a.inverse = of_both * b.variance;
+        b.inverse = of_both * a.variance;
+    }
+    match rest {
+        [a, b] => {
+            let inverse = unit / (a.variance * b.variance);
+            a.inverse = inverse * b.variance;
+            b.inverse = inverse * a.variance;
+        }
+        [a] => a.inverse = unit / a.variance,
+        _ => {}
+    }
+}
+
+/// The same of one level in the counts of the pixel.
+#[inline(always)]
+fn camera_variance<V: Lanes>(one: V, constants: &Everywhere<V>, blank: V, mean: V) -> V {
+    let (zero, dark) = (one.all(0.0), constants.zero_counts);
+    let spray = blank + mean;
+    let shot = (spray - dark).larger(zero) + (blank - dark).larger(zero) * constants.per_blank;
+    constants.fixed + shot * constants.per_count
 }
 
 /// Variance of a line at its crossing that the camera's noise alone would give.
@@ -127,18 +153,18 @@ fn camera_variance<V: Lanes>(
 pub(super) fn camera_noise<V: Lanes, L: Levels>(
     ground: &Ground<'_, V>,
     group: &Group<V>,
-    scratch: &Scratch<V, L>,
+    scratch: &mut Scratch<V, L>,
     line: &Lined<V>,
 ) -> V {
-    let &Ground { one, constants, places, .. } = ground;
+    measure(ground, group, scratch);
+    let &Ground { one, places, .. } = ground;
     let zero = one.all(0.0);
-    let scale = one.all(1.0) / (group.flat * group.flat);
     let d = (zero - line.drop) * line.per_spread;
     let mut noise = zero;
-    let each = places.iter().zip(scratch.levels.as_ref()).zip(scratch.weights.as_ref());
-    for ((place, level), &w) in each {
+    let each = places.iter().zip(scratch.cameras.as_ref()).zip(scratch.weights.as_ref());
+    for ((place, &camera), &w) in each {
         let at = w * (line.per_weight + d * (place.x - line.mean_x));
-        let camera = camera_variance(one, constants, group, scale, level) * place.share;
+        let camera = camera * place.share;
         noise = noise + V::pick(zero.below(w), at * at * camera, zero);
     }
     noise
@@ -171,33 +197,33 @@ fn sandwich<V: Lanes, L: Levels>(
     scratch: &Scratch<V, L>,
     line: &Lined<V>,
 ) -> Fitted<V> {
-    let &Ground { one, constants, places, powers, .. } = ground;
+    let &Ground { one, ref constants, places, powers, .. } = ground;
     let zero = one.all(0.0);
     let law_freedom = one.all(crate::estimate::law::FREEDOM_LAW);
     let least = one.all(VARIANCE_MIN);
-    let d = zero - line.drop;
-    let mut own = [zero; 3];
-    let mut floor = [zero; 3];
+    // What all levels have in common, one over the sums of the line, is multiplied in at the end.
+    let reach = (zero - line.drop) * line.per_spread;
+    let (mut own, mut floor) = ([zero; 3], [zero; 3]);
     let (mut crossing, mut crossing_2, mut slope_2, mut noise) = (zero, zero, zero, zero);
     let (levels, weights) = (scratch.levels.as_ref(), scratch.weights.as_ref());
     let each = places.iter().zip(levels).zip(weights).zip(scratch.laws.as_ref());
     for (((place, level), &w), law) in each {
         // Where the level is not there its weight, and with it every part, is 0.
+        let w_2 = w * w;
         let squares = level.squares + law_freedom * law.variance;
-        let used = squares * (place.per_total * place.share);
-        let camera = law.camera.larger(least) * place.share;
-        let at_mean = w * line.per_weight;
-        let at_slope = w * (place.x - line.mean_x) * line.per_spread;
-        let at_crossing = at_mean + d * at_slope;
-        let (mm, ss, ms) = (at_mean * at_mean, at_slope * at_slope, at_mean * at_slope);
+        let used = squares * place.own_share * w_2;
+        let camera = law.camera.larger(least) * place.share * w_2;
+        let off = place.x - line.mean_x;
+        let at_crossing = line.per_weight + reach * off;
         let cc = at_crossing * at_crossing;
-        let of_slope = ss * used;
+        let (used_off, camera_off) = (used * off, camera * off);
+        let of_slope = used_off * off;
         own[0] = own[0] + of_slope;
-        own[1] = own[1] + mm * used;
-        own[2] = own[2] + ms * used;
-        floor[0] = floor[0] + ss * camera;
-        floor[1] = floor[1] + mm * camera;
-        floor[2] = floor[2] + ms * camera;
+        own[1] = own[1] + used;
+        own[2] = own[2] + used_off;
+        floor[0] = floor[0] + camera_off * off;
+        floor[1] = floor[1] + camera;
+        floor[2] = floor[2] + camera_off;
         let part = cc * used;
         crossing = crossing + part;
         crossing_2 = crossing_2 + part * part * place.per_total;
@@ -210,18 +236,21 @@ fn sandwich<V: Lanes, L: Levels>(
         V::pick(lower, zero, crossing_2 / (crossing * crossing)),
         V::pick(lower_slope, zero, slope_2 / (own[0] * own[0])),
     ];
+    let of_slope = line.per_spread * line.per_spread;
+    let of_mean = line.per_weight * line.per_weight;
+    let of_both = line.per_weight * line.per_spread;
     Fitted {
         line: *line,
         covariance: [
-            V::pick(lower, floor[0], own[0]),
-            V::pick(lower, floor[1], own[1]),
-            V::pick(lower, floor[2], own[2]),
+            V::pick(lower, floor[0], own[0]) * of_slope,
+            V::pick(lower, floor[1], own[1]) * of_mean,
+            V::pick(lower, floor[2], own[2]) * of_both,
         ],
-        slope_variance: V::pick(lower_slope, floor[0], own[0]),
+        slope_variance: V::pick(lower_slope, floor[0], own[0]) * of_slope,
         noise,
         quantiles: [
-            quantile(one, constants, powers, inverse_freedoms[0]),
-            quantile(one, constants, powers, inverse_freedoms[1]),
+            quantile(one, constants.normal, powers, inverse_freedoms[0]),
+            quantile(one, constants.normal, powers, inverse_freedoms[1]),
         ],
         flags: zero,
     }

@@ -1,16 +1,18 @@
 //! Fits a row of pixels: vectors of them, then the few that go alone, then temperatures. Answers go straight to where
 //! they stay: a copy of fifteen channels costs a tenth of a solve.
 
+use super::ahead;
 use super::answers::{Answers, Channels};
-use super::kernel::{self, ALONE, GAIN, Ground, Group, Level, Scratch};
+use super::kernel::{self, ALONE, Everywhere, GAIN, Ground, Group, Level, Scratch};
 use super::lanes::{Lanes, Machine, Number, WIDEST};
 use super::levels::{Any, Known, Levels};
-use super::lines;
+use super::lines::{self, Credible};
 use super::rows::Row;
 use super::single::Pixel;
 use super::solver::Common;
 use super::thermometer::Thermometer;
-use super::{CHANNELS, flag};
+use super::ways::{self, Way};
+use super::{CHANNELS, Estimator, flag};
 use crate::estimate::student::NODES;
 use pulp::Simd;
 use std::marker::PhantomData;
@@ -47,14 +49,10 @@ impl<'a, F: Machine, M: Answers<F>> Writer<'a, F, M> {
         mut channels: Channels<'_, F>,
         bits: &mut [u32],
     ) {
-        let levels = self.common.used.len();
-        match levels {
-            2 => self.vectors::<S, Known<2>>(simd, row, &mut channels),
-            3 => self.vectors::<S, Known<3>>(simd, row, &mut channels),
-            4 => self.vectors::<S, Known<4>>(simd, row, &mut channels),
-            5 => self.vectors::<S, Known<5>>(simd, row, &mut channels),
-            6 => self.vectors::<S, Known<6>>(simd, row, &mut channels),
-            _ => self.vectors::<S, Any>(simd, row, &mut channels),
+        match self.common.inputs.estimator {
+            Estimator::Default => self.fit::<S, ways::Ours>(simd, row, &mut channels),
+            Estimator::Paper => self.fit::<S, ways::Papers>(simd, row, &mut channels),
+            Estimator::Ols => self.fit::<S, ways::Unweighted>(simd, row, &mut channels),
         }
         for (bits, flags) in bits.iter_mut().zip(&self.flags) {
             *bits = flags.bits_of();
@@ -71,9 +69,26 @@ impl<'a, F: Machine, M: Answers<F>> Writer<'a, F, M> {
     }
 
     #[inline(always)]
-    fn vectors<S: Simd, L: Levels>(&mut self, simd: S, row: &Row<'_, F>, channels: &mut Channels<'_, F>) {
-        // A function of its own for every number of levels, or all would have to share registers.
-        simd.vectorize(Vectors::<F, M, L> {
+    fn fit<S: Simd, W: Way>(&mut self, simd: S, row: &Row<'_, F>, channels: &mut Channels<'_, F>) {
+        match self.common.used.len() {
+            2 => self.vectors::<S, W, Known<2>>(simd, row, channels),
+            3 => self.vectors::<S, W, Known<3>>(simd, row, channels),
+            4 => self.vectors::<S, W, Known<4>>(simd, row, channels),
+            5 => self.vectors::<S, W, Known<5>>(simd, row, channels),
+            6 => self.vectors::<S, W, Known<6>>(simd, row, channels),
+            _ => self.vectors::<S, W, Any>(simd, row, channels),
+        }
+    }
+
+    #[inline(always)]
+    fn vectors<S: Simd, W: Way, L: Levels>(
+        &mut self,
+        simd: S,
+        row: &Row<'_, F>,
+        channels: &mut Channels<'_, F>,
+    ) {
+        // A function of its own for every estimator and number of levels, or all would have to share registers.
+        simd.vectorize(Vectors::<F, M, W, L> {
             common: self.common,
             row,
             channels,
@@ -107,15 +122,15 @@ impl<'a, F: Machine, M: Answers<F>> Writer<'a, F, M> {
 }
 
 /// A row's vectors, fitted for `L` levels.
-struct Vectors<'r, 'c, F, M, L> {
+struct Vectors<'r, 'c, F, M, W, L> {
     common: &'r Common<'r>,
     row: &'r Row<'r, F>,
     channels: &'r mut Channels<'c, F>,
     flags: &'r mut [F],
-    kind: PhantomData<(M, L)>,
+    kind: PhantomData<(M, W, L)>,
 }
 
-impl<F: Machine, M: Answers<F>, L: Levels> pulp::WithSimd for Vectors<'_, '_, F, M, L> {
+impl<F: Machine, M: Answers<F>, W: Way, L: Levels> pulp::WithSimd for Vectors<'_, '_, F, M, W, L> {
     type Output = ();
 
     #[inline(always)]
@@ -132,14 +147,18 @@ impl<F: Machine, M: Answers<F>, L: Levels> pulp::WithSimd for Vectors<'_, '_, F,
         let powers = &powers[..constants.quantile.len().min(NODES)];
         let mut places = lines::places::<_, L>(one, &constants.x);
         let mut plain = lines::place(one, &constants.x, places.as_mut());
+        let everywhere = Everywhere::new(one, constants);
+        let mut credible = Credible::of(one, places.as_ref());
         let mut scratch = Scratch::<_, L>::new(one, levels);
         let mut last = [[F::of(0.0); WIDEST]; CHANNELS.len()];
         for vector in 0..row.columns.div_ceil(width) {
+            row.ahead.fetch(vector * width);
             if vector == 0 || !row.alike {
                 for (k, place) in places.as_mut().iter_mut().enumerate() {
                     place.count = F::read(simd, row.count, k * each + vector);
                 }
                 plain = lines::place(one, &constants.x, places.as_mut());
+                credible = Credible::of(one, places.as_ref());
             }
             for (k, level) in scratch.levels.as_mut().iter_mut().enumerate() {
                 let at = k * each + vector;
@@ -152,14 +171,16 @@ impl<F: Machine, M: Answers<F>, L: Levels> pulp::WithSimd for Vectors<'_, '_, F,
             }
             let group = Group {
                 flat: F::read(simd, row.flat, vector),
+                even: row.even,
                 flags: F::read(simd, row.flags, vector),
                 alive: F::read(simd, row.alive, vector),
                 first_mean: one,
                 singles: row.singles,
                 alike: row.alike,
             };
-            let ground = Ground { one, constants, places: places.as_ref(), plain, powers };
-            let answer = kernel::fit(&ground, common.inputs.estimator, group, &mut scratch);
+            let ground =
+                Ground { one, constants: everywhere, places: places.as_ref(), plain, credible, powers };
+            let answer = kernel::fit::<_, W, _>(&ground, group, &mut scratch);
             let to = vector * width..(vector + 1) * width;
             F::write::<S>(&mut flags[to.clone()], answer.flags);
             // The last pixels of a row may be fewer than a vector holds.
@@ -168,6 +189,7 @@ impl<F: Machine, M: Answers<F>, L: Levels> pulp::WithSimd for Vectors<'_, '_, F,
                 // Spelled out: a loop over vectors would take them through the stack.
                 ($($channel:literal)*) => {$(
                     if M::WANTED[$channel] {
+                        ahead::room(channels[$channel], to.start);
                         let numbers =
                             if complete { &mut channels[$channel][to.clone()] } else { &mut last[$channel][..width] };
                         F::write::<S>(numbers, answer.channels[$channel]);
