@@ -125,7 +125,8 @@ fn dimmed<S: Spectrum>(scattered: &Scattered<S>, leaves: &Leaves, around: &[f32]
         // Of the medium 1 − E^f, whose slopes are f · E^(f − 1) times those of J_m.
         out.share[1] = scaled(&leaf.share[1], share.scaled(factor));
         let one = S::splat(1.0);
-        out.share[1][0] = one.minus(one.minus(leaf.share[1][0]).times(share)).not_negative();
+        // Where no light is scattered, as the centre of a leaf may be, it may be less than none.
+        out.share[1][0] = one.minus(one.minus(leaf.share[1][0]).times(share));
         out
     });
     let sides = scattered.sides.iter().map(|axis| {

@@ -430,13 +430,13 @@ mod tests {
 
     #[test]
     fn lanes_and_the_single_group_agree_to_the_bit() {
-        let lanes = <[Wide; 2]>::splat(3.7);
+        let lanes = <[Wide; 1]>::splat(3.7);
         let (through, stopped) = lanes.split(0.41);
         let (one, rest) = One::splat(3.7).split(0.41);
         for g in 0..16 {
             assert_eq!((through.get(g), stopped.get(g)), (one.get(0), rest.get(0)));
         }
         assert!((lanes.sum() - 16.0 * 3.7).abs() < 1e-5);
-        assert_eq!(lanes.minus(<[Wide; 2]>::splat(1.7)), <[Wide; 2]>::splat(3.7 - 1.7));
+        assert_eq!(lanes.minus(<[Wide; 1]>::splat(1.7)), <[Wide; 1]>::splat(3.7 - 1.7));
     }
 }
