@@ -12,6 +12,9 @@ use super::vector::{Vector, along};
 /// Optical depth of a cell below which places in it are taken as uniform; bends the mean by less.
 const THIN: f64 = 1e-6;
 
+/// Mean free paths into a cell up to which groups are weighted against each other; fewer than one path in 10^8 gets there.
+const FARTHEST: f64 = 20.0;
+
 /// First of the two coordinates of a place in the aperture.
 const APERTURE_DIMENSION: usize = 400_000;
 
@@ -23,34 +26,41 @@ pub(super) struct Members {
 impl Members {
     /// Nothing.
     pub(super) const NONE: Self = Self { cells: Vec::new() };
-}
 
-/// Those of a leaf in the `owner`-th occupied brick.
-pub(super) fn members<S: Spectrum>(fine: &Fine<S>, leaves: &Leaves, owner: u32, leaf: usize) -> Members {
-    let b = leaves.occupied[owner as usize];
-    let (brick, base) = (leaves.bricks.list[b], leaves.bricks.at(b).map(|c| c * EDGE));
-    let first = owner as usize * CELLS;
-    let block = leaf - brick.first as usize;
-    let mask = (1 << brick.log) - 1;
-    let edge = EDGE >> brick.log;
-    let low = [block >> (2 * brick.log), block >> brick.log & mask, block & mask].map(|i| i * edge);
-    let mut cells = Vec::with_capacity(edge * edge * edge);
-    let mut sum = 0.0;
-    for x in low[0]..low[0] + edge {
-        for y in low[1]..low[1] + edge {
-            for z in low[2]..low[2] + edge {
-                let place = first + (x * EDGE + y) * EDGE + z;
-                if is_occupied(fine.ordinal[place]) {
-                    let [k, albedo] = fine.core[place];
-                    let scattering = k.times(albedo).sum();
-                    // A cell that does not scatter still gets a value, though nothing will be multiplied with it.
-                    sum += scattering.clamp(f32::MIN_POSITIVE, 1e30);
-                    cells.push((place, [x + base[0], y + base[1], z + base[2]].map(|c| c as f64), sum));
+    /// Those of a leaf in the `owner`-th occupied brick; `scattering` is that of every place.
+    pub(super) fn of<S: Spectrum>(
+        fine: &Fine<S>,
+        scattering: &[f32],
+        leaves: &Leaves,
+        owner: u32,
+        leaf: usize,
+    ) -> Self {
+        let b = leaves.occupied[owner as usize];
+        let (brick, base) = (leaves.bricks.list[b], leaves.bricks.at(b).map(|c| c * EDGE));
+        let first = owner as usize * CELLS;
+        let block = leaf - brick.first as usize;
+        let mask = (1 << brick.log) - 1;
+        let edge = EDGE >> brick.log;
+        let low = [block >> (2 * brick.log), block >> brick.log & mask, block & mask].map(|i| i * edge);
+        let mut cells = Vec::with_capacity(edge * edge * edge);
+        let mut sum = 0.0;
+        for x in low[0]..low[0] + edge {
+            for y in low[1]..low[1] + edge {
+                let from = first + (x * EDGE + y) * EDGE + low[2];
+                for (i, (&ordinal, &scattering)) in
+                    fine.ordinal[from..from + edge].iter().zip(&scattering[from..from + edge]).enumerate()
+                {
+                    if is_occupied(ordinal) {
+                        // A cell that does not scatter still gets a value, though nothing will be multiplied with it.
+                        sum += scattering.clamp(f32::MIN_POSITIVE, 1e30);
+                        let at = [x + base[0], y + base[1], low[2] + i + base[2]];
+                        cells.push((from + i, at.map(|c| c as f64), sum));
+                    }
                 }
             }
         }
+        Self { cells }
     }
-    Members { cells }
 }
 
 /// Where a path from a leaf begins, the direction of the sight there, and its weight.
@@ -114,12 +124,8 @@ fn seen_place<S: Spectrum>(
         S::splat(share)
     } else {
         // e^((k̄ − k) s) for each group, kept finite.
-        let mut weight = S::ZERO;
-        for g in 0..fine.groups {
-            let stretch = (narrow(k) - fine.core[cell][0].get(g)) * narrow(place);
-            weight.set(g, share * stretch.clamp(-20.0, 20.0).exp());
-        }
-        weight
+        let (through, _) = fine.core[cell][0].split(narrow(place));
+        ones::<S>(fine.groups).times(through).scaled(share * narrow((k * place).min(FARTHEST).exp()))
     };
     (along(start, before + place, direction), weight)
 }

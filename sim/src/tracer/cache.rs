@@ -4,7 +4,7 @@
 //! (backward form of the source function of RADMC-3D and SHDOM). The radiance from walls is estimated too, and plate,
 //! walls and medium are divided by their sum, so that a uniform enclosure stays uniform whatever the noise.
 
-use super::begin::{Members, members, start};
+use super::begin::{Members, start};
 use super::bricks::Bricks;
 use super::camera::Sights;
 use super::chamber::SIDES;
@@ -30,7 +30,9 @@ pub(super) struct Leaves {
 
 /// Where paths begin.
 pub(super) struct Origin<'a, S> {
+    /// The medium, and what each of its cells scatters in all groups together.
     pub(super) fine: &'a Fine<S>,
+    pub(super) scattering: &'a [f32],
     pub(super) leaves: &'a Leaves,
     pub(super) sights: &'a Sights,
     /// Names the random numbers.
@@ -83,7 +85,7 @@ impl<S: Spectrum> Cache<S> {
         samples: f64,
         progress: &(dyn Fn(f64) + Sync),
     ) {
-        let Origin { fine, leaves, sights, seed } = *from;
+        let Origin { fine, scattering, leaves, sights, seed } = *from;
         let total: f64 = leaves.demand.iter().map(|&d| f64::from(d)).sum();
         if total <= 0.0 {
             return;
@@ -124,6 +126,7 @@ impl<S: Spectrum> Cache<S> {
                 let mut rows = vec![S::ZERO; 2 * halves.len() * width];
                 let begin = Beginnings {
                     leaves,
+                    scattering,
                     sights,
                     starts: &starts,
                     owner: &owner,
@@ -180,6 +183,7 @@ pub(super) fn owners(leaves: &Leaves) -> Vec<u32> {
 /// Where the paths of a task begin.
 struct Beginnings<'a> {
     leaves: &'a Leaves,
+    scattering: &'a [f32],
     sights: &'a Sights,
     /// Number of the first path of each leaf in its sequence, and one more.
     starts: &'a [u32],
@@ -221,7 +225,13 @@ fn follow<S: Spectrum>(
                             return None;
                         }
                         h = 0;
-                        now = members(fine, begin.leaves, begin.owner[begin.first + i], begin.first + i);
+                        now = Members::of(
+                            fine,
+                            begin.scattering,
+                            begin.leaves,
+                            begin.owner[begin.first + i],
+                            begin.first + i,
+                        );
                         i += 1;
                     }
                     let (from, to) = (begin.starts[begin.first + i - 1], begin.starts[begin.first + i]);

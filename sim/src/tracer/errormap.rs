@@ -4,7 +4,8 @@ use super::image::{Job, Stats, tell};
 use super::operator::Operator;
 use super::pixels::Refinement;
 use super::raster::Raster;
-use super::reconstruct::{ROWS, pure_bias};
+use super::reconstruct::pure_bias;
+use super::shares::ROWS;
 use rayon::prelude::*;
 
 /// Errors are computed for pixels at this distance, and averaged up to that one.

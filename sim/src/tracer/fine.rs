@@ -48,7 +48,9 @@ impl<S: Spectrum> Fine<S> {
             bricks.list[b] = Brick { first: (i * CELLS) as u32, log: 3 };
         }
         let mut ordinal = vec![EMPTY; occupied.len() * CELLS];
-        let mut core = vec![[S::ZERO; 2]; occupied.len() * CELLS];
+        // By all threads: where zeros are written first, the system finds pages for them.
+        let mut core: Vec<[S; 2]> =
+            (0..occupied.len() * CELLS).into_par_iter().with_min_len(CELLS).map(|_| [S::ZERO; 2]).collect();
         let mut jobs = Vec::with_capacity(columns.len());
         let mut left = (ordinal.as_mut_slice(), core.as_mut_slice());
         for (column, filled) in columns.iter().zip(&filled) {

@@ -276,7 +276,7 @@ impl<S: Spectrum> Flock<S> {
                     (shining.place.0[l], shining.part.0[l], shining.stopped[l]) = (place, part, self.here[l]);
                 }
             }
-            if self.through[l].largest() <= OPAQUE {
+            if !self.through[l].any_above(OPAQUE) {
                 self.walk.stop(l);
             }
         }

@@ -11,7 +11,8 @@ use super::chamber::{Chamber, ENDS, SIDES};
 use super::fine::{CELLS, Fine};
 use super::pieces::Pieces;
 use super::plate::Plate;
-use super::reconstruct::{InLeaf, ROWS, Scattered};
+use super::reconstruct::{InLeaf, Scattered};
+use super::shares::ROWS;
 use super::spectrum::{Spectrum, narrow};
 use super::vector::{Vector, sub};
 use std::any::Any;
@@ -145,7 +146,7 @@ impl<S: Spectrum> Sight<S> {
         let mut march = fine.bricks.march(origin, direction, hit.unwrap_or(f64::INFINITY));
         while let Some(Segment { place, block, start, end }) = march.next() {
             let [k, albedo] = fine.core[place];
-            if k.largest() <= 0.0 {
+            if !k.any_above(0.0) {
                 continue;
             }
             cells += 1;
@@ -179,7 +180,7 @@ impl<S: Spectrum> Sight<S> {
                 let square = middle.mul_add(middle, length * length * (1.0 / 12.0));
                 run.second = run.second.plus_scaled(turned, square);
             }
-            if through.largest() <= OPAQUE {
+            if !through.any_above(OPAQUE) {
                 break;
             }
         }

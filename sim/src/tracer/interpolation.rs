@@ -3,7 +3,7 @@
 
 use super::lanes::larger;
 use super::raster::Raster;
-use super::reconstruct::ROWS;
+use super::shares::ROWS;
 use super::spectrum::narrow;
 use rayon::prelude::*;
 

@@ -9,7 +9,7 @@ use super::gather::{OPAQUE, Sight};
 use super::lanes::{Floats, Ints, LANES, NO_INTS, ZEROS};
 use super::pieces::Pieces;
 use super::plate::Plate;
-use super::reconstruct::ROWS;
+use super::shares::ROWS;
 use super::spectrum::{One, Spectrum, split};
 use super::vector::Vector;
 use super::walk::{NOWHERE, Step, Walk};

@@ -124,7 +124,7 @@ impl<S: Spectrum> World<'_, S> {
                 emitted += own.sum();
                 visits.push(Visit { place, start, end, scattered, emitted, weight });
                 weight = weight.times(through);
-                if weight.largest() <= OPAQUE {
+                if !weight.any_above(OPAQUE) {
                     break;
                 }
             }

@@ -7,7 +7,9 @@
 use super::bricks::{Brick, EDGE, EDGE_LOG};
 use super::cache::Leaves;
 use super::fine::Fine;
-use super::reconstruct::{InLeaf, ROWS, Scattered, centre};
+use super::places::centre;
+use super::reconstruct::{InLeaf, Scattered};
+use super::shares::ROWS;
 use super::spectrum::{One, Spectrum, narrow};
 use rayon::prelude::*;
 

@@ -15,6 +15,8 @@ const FIRST: [usize; 3] = [0, 1, 9];
 /// Of every occupied brick the blocks of one, two and four along its edges.
 pub(super) struct Pyramid<S> {
     blocks: Vec<[Block<S>; KEPT]>,
+    /// What is scattered in every cell, in 1/m, all groups together: `[place]`.
+    pub(super) scattering: Vec<f32>,
 }
 
 /// What is known of the cells in a block.
@@ -44,17 +46,17 @@ impl<S: Spectrum> Block<S> {
 
 impl<S: Spectrum> Pyramid<S> {
     pub(super) fn new(fine: &Fine<S>) -> Self {
-        let blocks = fine.core.par_chunks(CELLS).with_min_len(16);
-        Self {
-            blocks: blocks
-                .map(|cells| {
-                    vectorised(
-                        #[inline(always)]
-                        || brick(cells),
-                    )
-                })
-                .collect(),
-        }
+        let mut scattering = vec![0.0; fine.core.len()];
+        let bricks = fine.core.par_chunks(CELLS).zip(scattering.par_chunks_mut(CELLS)).with_min_len(16);
+        let blocks = bricks
+            .map(|(cells, scattering)| {
+                vectorised(
+                    #[inline(always)]
+                    || brick(cells, scattering),
+                )
+            })
+            .collect();
+        Self { blocks, scattering }
     }
 
     /// Blocks of 2^`log` along the edges of an occupied brick, given by its place among them; `log` at most 2.
@@ -65,16 +67,19 @@ impl<S: Spectrum> Pyramid<S> {
 }
 
 #[inline(always)]
-fn brick<S: Spectrum>(cells: &[[S; 2]]) -> [Block<S>; KEPT] {
+fn brick<S: Spectrum>(cells: &[[S; 2]], scattered: &mut [f32]) -> [Block<S>; KEPT] {
     let mut kept = [Block::NOTHING; KEPT];
     for x in 0..EDGE {
         for y in 0..EDGE {
             let row = &cells[(x * EDGE + y) * EDGE..][..EDGE];
+            let scattered = &mut scattered[(x * EDGE + y) * EDGE..][..EDGE];
             let to = &mut kept[FIRST[2] + ((x / 2) * FINEST + y / 2) * FINEST..][..FINEST];
-            for (block, pair) in to.iter_mut().zip(row.chunks_exact(2)) {
-                for &[k, albedo] in pair {
+            let pairs = row.chunks_exact(2).zip(scattered.chunks_exact_mut(2));
+            for (block, (pair, scattered)) in to.iter_mut().zip(pairs) {
+                for (&[k, albedo], scattered) in pair.iter().zip(scattered) {
                     let largest = k.largest();
                     let scattering = k.times(albedo);
+                    *scattered = scattering.sum();
                     *block = block.and(Block { extinction: k, scattering, low: largest, high: largest });
                 }
             }

@@ -1,5 +1,5 @@
-//! From the sums of the leaves to in-scattered light anywhere in the medium: shares of plate, walls and medium, mixed
-//! with those of neighbouring leaves as far as noise outweighs their difference, and quadratic inside each leaf.
+//! From the sums of the leaves to in-scattered light anywhere in the medium: shares of plate, walls and medium, which are
+//! quadratic inside each leaf.
 
 #![expect(
     clippy::needless_range_loop,
@@ -7,16 +7,14 @@
 )]
 
 use super::bricks::{EDGE, EDGE_LOG, NONE};
-use super::cache::{Cache, Leaves, owners};
+use super::cache::{Cache, Leaves};
 use super::chamber::SIDES;
-use super::fine::{CELLS, Fine};
-use super::pyramid::Pyramid;
+use super::mixing::{fill, mixed};
+use super::places::{Place, Places, leaf_at};
+use super::shares::{ROWS, Shares, shares, side_shares};
 use super::sobol::hash;
-use super::spectrum::{Spectrum, narrow};
+use super::spectrum::{Spectrum, narrow, vectorised};
 use rayon::prelude::*;
-
-/// Plate and medium (channel 0): the shares that are reconstructed; walls follow.
-pub(super) const ROWS: usize = 2;
 
 /// Mean, three slopes, three halves of second derivatives.
 pub(super) const TERMS: usize = 7;
@@ -35,25 +33,15 @@ const LOST_KINK: f32 = 2.4 / 24.0;
 /// large as it, less where they are not or are mixed.
 const BIAS_NOISE: f32 = 1.1;
 
-/// Rounds of mixing at most; each reaches one leaf further.
-const ROUNDS_MAX: usize = 2;
-
-/// Mixing that would move nobody by more than this part towards its neighbours is left out.
-const MIX_MIN: f64 = 0.02;
-
-/// Standard errors by which the difference between neighbours is taken for larger than it seems.
-const CAUTION: f32 = 2.0;
-
-/// Decay of the exchange between neighbours per optical depth of a leaf: over a mean free path the source function
-/// changes by itself.
-const DECAY: f32 = 2.0;
-
 /// Boxes as large as itself that a leaf looks past where nothing is, for one that tells how light changes.
 const FAR: usize = 4;
 
-/// What light changes by inside a leaf whose neighbours tell nothing, rms over its own value and per optical depth: light
-/// scattered in lumps that stand apart, compared with pixels traced one by one.
-const UNTOLD: f32 = 0.15;
+/// What light changes by inside a leaf whose neighbours tell nothing, rms over its own value and per optical depth, and per
+/// edge over half the medium's: light scattered in lumps that stand apart, compared with pixels traced one by one.
+const UNTOLD: [f32; 2] = [0.15, 0.25];
+
+/// Part of its square that is left where the nearest leaves along an axis are behind gaps.
+const FAR_UNTOLD: f32 = 0.5;
 
 /// Least distance between the places that stand for two leaves, in edges: those places may lie side by side.
 const CLOSE: f32 = 0.25;
@@ -82,149 +70,75 @@ pub(super) struct InLeaf<S> {
     pub(super) bias: [S; ROWS],
 }
 
-/// Shares of plate and medium in one leaf: of all its paths, and of each half of them.
-type Shares<S> = [[S; ROWS]; 3];
-
-/// A leaf's six neighbours of its own size (−x, +x, −y, …) or [`NONE`], and how much they may exchange.
-struct Place {
-    beside: [u32; 6],
-    open: f32,
-    /// Optical depth of its edge, the mean over the groups.
-    depth: f32,
-    /// Cells along its edge.
-    edge: usize,
-    centre: [f32; 3],
-    /// Where in it light is scattered: mean offset from its centre in cells, and mean square.
-    offset: [f32; 3],
-    square: [f32; 3],
-}
-
-/// Centre of a leaf in cells.
-pub(super) fn centre(leaves: &Leaves, brick: usize, leaf: usize) -> [f64; 3] {
-    let b = leaves.bricks.list[brick];
-    let (base, block, mask) = (leaves.bricks.at(brick), leaf - b.first as usize, (1_usize << b.log) - 1);
-    let edge = EDGE >> b.log;
-    let at = [block >> (2 * b.log), block >> b.log & mask, block & mask];
-    [0, 1, 2].map(|a| real(base[a] * EDGE + at[a] * edge) + 0.5 * real(edge))
-}
-
 /// The square of the bias without what noise adds to it, from mean squares of noise and bias over many sights.
 pub(super) fn pure_bias(noise: f32, bias: f32) -> f32 {
     (bias - BIAS_NOISE * noise).max(0.0)
 }
 
-/// The leaves of a medium and what lies beside each.
-pub(super) struct Places<'a> {
-    leaves: &'a Leaves,
-    /// The occupied brick of each leaf.
-    owner: Vec<u32>,
-    list: Vec<Place>,
-    channels: usize,
-}
-
-impl<'a> Places<'a> {
-    /// `depths` as from [`depths`].
-    pub(super) fn new<S: Spectrum>(
-        fine: &Fine<S>,
-        pyramid: &Pyramid<S>,
-        leaves: &'a Leaves,
-        depths: &[f32],
-    ) -> Self {
-        let owner = owners(leaves);
-        let list = places(fine, pyramid, leaves, &owner, depths);
-        Self { leaves, owner, list, channels: fine.channels }
-    }
-
-    /// Whether a leaf is a single cell, which cannot be cut.
-    pub(super) fn is_cell(&self, leaf: usize) -> bool {
-        self.list[leaf].edge == 1
-    }
-}
-
-/// The source function of every leaf from the cache's sums.
+/// The source function of every leaf from the sums over its paths.
 pub(super) fn reconstruct<S: Spectrum>(places: &Places<'_>, cache: &Cache<S>) -> Scattered<S> {
-    let Places { leaves, owner, list, channels } = places;
-    let of = |shares: Vec<Shares<S>>| shaped(leaves, owner, list, shares, &cache.paths);
-    let shares = cache.halves.par_iter().with_min_len(256).map(shares).collect();
-    let sides = (0..if cache.sides.is_empty() { 0 } else { SIDES / 2 })
-        .map(|axis| {
-            let both = cache.halves.par_iter().zip(&cache.sides).with_min_len(256);
-            of(both.map(|(halves, sides)| side_shares(halves, sides, axis)).collect())
-        })
-        .collect();
-    Scattered { leaves: of(shares), ratio: ratios(channels - 1, list, cache), sides }
+    let of = |shares: Vec<Shares<S>>| shaped(places, shares, &cache.paths);
+    let axes = if cache.sides.is_empty() { 0 } else { SIDES / 2 };
+    Scattered {
+        leaves: of(shares(cache)),
+        ratio: ratios(places, cache),
+        sides: (0..axes).map(|axis| of(side_shares(cache, axis))).collect(),
+    }
 }
 
 /// Shares of two kinds of light, mixed between leaves and given a shape inside each.
-fn shaped<S: Spectrum>(
-    leaves: &Leaves,
-    owner: &[u32],
-    places: &[Place],
-    mut shares: Vec<Shares<S>>,
-    paths: &[u32],
-) -> Vec<InLeaf<S>> {
+fn shaped<S: Spectrum>(places: &Places<'_>, mut shares: Vec<Shares<S>>, paths: &[u32]) -> Vec<InLeaf<S>> {
+    let Places { leaves, owner, list: places, .. } = places;
     let mut counts: Vec<f32> = paths.par_iter().map(|&n| narrow(f64::from(n))).collect();
     let unknown: Vec<bool> = counts.iter().map(|&c| c <= 0.0).collect();
     let spread = fill(owner, leaves.occupied.len(), &mut shares, &counts);
-    let mut mixed_by = vec![0.0_f32; shares.len()];
-    for _ in 0..ROUNDS_MAX {
-        let strength = strengths(owner, places, &shares, &counts);
-        let parts: Vec<f32> = places
-            .iter()
-            .zip(counts.iter().zip(owner))
-            .map(|(place, (count, &o))| {
-                let alpha = strength[o as usize] * place.open;
-                if alpha > 0.0 { alpha / (alpha + count) } else { 0.0 }
-            })
-            .collect();
-        let (mut moved, mut all) = (0.0_f64, 0.0_f64);
-        for (part, demand) in parts.iter().zip(&leaves.demand) {
-            moved += f64::from(part * demand);
-            all += f64::from(*demand);
-        }
-        if moved < MIX_MIN * all {
-            break;
-        }
-        let next: Vec<(Shares<S>, f32)> = (0..shares.len())
-            .into_par_iter()
-            .with_min_len(256)
-            .map(|leaf| mix(leaf, &places[leaf].beside, &shares, &counts, parts[leaf]))
-            .collect();
-        for (leaf, (value, count)) in next.into_iter().enumerate() {
-            mixed_by[leaf] = 1.0 - (1.0 - mixed_by[leaf]) * (1.0 - parts[leaf]);
-            shares[leaf] = value;
-            counts[leaf] = count;
-        }
-    }
+    let mixed_by = mixed(leaves, owner, places, &mut shares, &mut counts);
     let empty = InLeaf { share: [[S::ZERO; TERMS]; ROWS], noise: [S::ZERO; ROWS], bias: [S::ZERO; ROWS] };
-    let mut known =
-        Known { leaves, places, shares: &shares, counts: &counts, done: vec![empty; shares.len()] };
+    let mut done: Vec<InLeaf<S>> =
+        (0..shares.len()).into_par_iter().with_min_len(256).map(|_| empty).collect();
+    let extent = 0.5 * narrow(real(leaves.bricks.cells.into_iter().fold(1, usize::max)));
+    let mut known = Known { leaves, places, shares: &shares, counts: &counts, slopes: Vec::new(), extent };
+    let sizes: Vec<usize> = places.par_iter().map(|place| place.edge).collect();
+    let smallest = sizes.iter().copied().min().unwrap_or(EDGE);
     // Large leaves first: small ones beside them look at their slopes.
-    for log in 0..=EDGE_LOG {
-        let edge = EDGE >> log;
-        let found: Vec<(usize, InLeaf<S>)> = (0..shares.len())
-            .into_par_iter()
-            .with_min_len(256)
-            .filter(|&leaf| places[leaf].edge == edge)
-            .map(|leaf| (leaf, known.shape(leaf, mixed_by[leaf])))
-            .collect();
-        for (leaf, shape) in found {
-            known.done[leaf] = shape;
+    for edge in (0..=EDGE_LOG).map(|log| EDGE >> log).filter(|&edge| edge >= smallest) {
+        done.par_iter_mut().zip(&sizes).enumerate().with_min_len(256).for_each(|(leaf, (to, &size))| {
+            if size == edge {
+                *to = vectorised(
+                    #[inline(always)]
+                    || known.shape(leaf, mixed_by[leaf]),
+                );
+            }
+        });
+        if edge > smallest {
+            known.slopes.resize(done.len(), [[S::ZERO; 3]; ROWS]);
+            let found = known.slopes.par_iter_mut().zip(done.par_iter().zip(&sizes)).with_min_len(256);
+            found.filter(|(_, (_, size))| **size == edge).for_each(|(to, (leaf, _))| {
+                *to = leaf.share.map(|[_, x, y, z, ..]| [x, y, z]);
+            });
         }
     }
-    let found = known.done.par_iter().zip(places).with_min_len(256);
-    let lost: Vec<[S; ROWS]> = found.map(|(leaf, place)| lost(leaf, place, &known.done)).collect();
-    for (i, (leaf, lost)) in known.done.iter_mut().zip(lost).enumerate() {
+    let found = done.par_iter().zip(places).with_min_len(256);
+    let lost: Vec<[S; ROWS]> = found
+        .map(|(leaf, place)| {
+            vectorised(
+                #[inline(always)]
+                || lost(leaf, place, &done),
+            )
+        })
+        .collect();
+    done.par_iter_mut().zip(lost).enumerate().with_min_len(256).for_each(|(i, (leaf, lost))| {
         leaf.bias = [0, 1].map(|row: usize| leaf.bias[row].plus(lost[row]));
         if unknown[i] {
             // It may be as far from the mean that it was given as any other, until paths tell.
             leaf.noise = [0, 1].map(|row: usize| leaf.noise[row].plus(spread[row].scaled(1.0 - mixed_by[i])));
         }
-    }
-    known.done
+    });
+    done
 }
 
 /// What a quadratic function misses inside a leaf.
+#[inline(always)]
 fn lost<S: Spectrum>(leaf: &InLeaf<S>, place: &Place, all: &[InLeaf<S>]) -> [S; ROWS] {
     let mut lost = [S::ZERO; ROWS];
     let edge = narrow(real(place.edge));
@@ -245,297 +159,21 @@ fn lost<S: Spectrum>(leaf: &InLeaf<S>, place: &Place, all: &[InLeaf<S>]) -> [S; 
     lost
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "leaf counts are below 2^32")]
-fn places<S: Spectrum>(
-    fine: &Fine<S>,
-    pyramid: &Pyramid<S>,
-    leaves: &Leaves,
-    owner: &[u32],
-    depths: &[f32],
-) -> Vec<Place> {
-    let bricks = &leaves.bricks;
-    let size = narrow(bricks.size[0].max(bricks.size[1]).max(bricks.size[2]));
-    owner
-        .par_iter()
-        .enumerate()
-        .with_min_len(256)
-        .map(|(leaf, &o)| {
-            let b = leaves.occupied[o as usize];
-            let edge = EDGE >> bricks.list[b].log;
-            let middle = centre(leaves, b, leaf);
-            let alike = |l: usize| bricks.list[leaves.occupied[owner[l] as usize]].log == bricks.list[b].log;
-            let beside = [0, 1, 2, 3, 4, 5].map(|k: usize| {
-                let mut at = middle;
-                at[k / 2] += if k.is_multiple_of(2) { -1.0 } else { 1.0 } * 0.5 * (real(edge) + 1.0);
-                leaf_at(leaves, at).filter(|&l| depths[l] > 0.0 && alike(l)).map_or(NONE, |l| l as u32)
-            });
-            let depth = depths[leaf] * size * narrow(real(edge));
-            let open = (-DECAY * depth).exp();
-            let [offset, square] =
-                moments(fine, pyramid, o as usize, leaf - bricks.list[b].first as usize, edge);
-            Place { beside, open, depth, edge, centre: middle.map(narrow), offset, square }
-        })
-        .collect()
-}
-
-/// Mean offset from a leaf's centre at which light is scattered in it, and mean square, in cells; from parts of an eighth of
-/// its volume at most. `block` is its number in the `i`-th occupied brick.
-fn moments<S: Spectrum>(
-    fine: &Fine<S>,
-    pyramid: &Pyramid<S>,
-    i: usize,
-    block: usize,
-    edge: usize,
-) -> [[f32; 3]; 2] {
-    let even = [[0.0; 3], [narrow(real(edge * edge)) / 12.0; 3]];
-    // Parts along its edge, and cells along theirs.
-    let (parts, wide) = if edge > 2 { (edge / 2, 2) } else { (edge, 1) };
-    if parts == 1 {
-        return even;
-    }
-    let log = (EDGE / edge).trailing_zeros();
-    let mask = (1_usize << log) - 1;
-    let corner = [block >> (2 * log), block >> log & mask, block & mask].map(|c| c * parts);
-    let finest = (EDGE / wide).trailing_zeros();
-    let (mut sum, mut first, mut second) = (0.0_f32, [0.0_f32; 3], [0.0_f32; 3]);
-    let weight = |[x, y, z]: [usize; 3]| {
-        let place = x << (2 * finest) | y << finest | z;
-        if wide == 1 {
-            let [k, albedo] = fine.core[i * CELLS + place];
-            k.times(albedo).sum()
-        } else {
-            pyramid.blocks(i, finest)[place].scattering.sum()
-        }
-    };
-    for x in 0..parts {
-        for y in 0..parts {
-            for z in 0..parts {
-                let weight = weight([corner[0] + x, corner[1] + y, corner[2] + z]);
-                sum += weight;
-                let at = [x, y, z]
-                    .map(|c| (narrow(real(c)) + 0.5) * narrow(real(wide)) - 0.5 * narrow(real(edge)));
-                for a in 0..3 {
-                    first[a] += weight * at[a];
-                    second[a] += weight * at[a] * at[a];
-                }
-            }
-        }
-    }
-    if !(sum > 0.0 && sum.is_finite()) {
-        return even;
-    }
-    let inside = narrow(real(wide * wide)) / 12.0;
-    [first.map(|f| f / sum), second.map(|s| s / sum + inside)]
-}
-
-/// Mean extinction of every leaf over its volume in 1/m; zero where nothing is.
-pub(super) fn depths<S: Spectrum>(fine: &Fine<S>, pyramid: &Pyramid<S>, leaves: &Leaves) -> Vec<f32> {
-    let mut depths = Vec::with_capacity(leaves.demand.len());
-    for (i, &b) in leaves.occupied.iter().enumerate() {
-        let brick = leaves.bricks.list[b];
-        let cells = narrow(real(CELLS / brick.blocks()) * real(fine.groups));
-        if brick.log < EDGE_LOG {
-            depths.extend(pyramid.blocks(i, brick.log).iter().map(|block| block.extinction.sum() / cells));
-        } else {
-            depths.extend(fine.core[i * CELLS..(i + 1) * CELLS].iter().map(|[k, _]| k.sum() / cells));
-        }
-    }
-    depths
-}
-
-/// The leaves beside the faces of one in a brick; of smaller ones the four that touch the middle of the face.
-pub(super) fn neighbours(leaves: &Leaves, brick: usize, leaf: usize) -> impl Iterator<Item = usize> {
-    let middle = centre(leaves, brick, leaf);
-    let edge = EDGE >> leaves.bricks.list[brick].log;
-    let reach = 0.5 * (real(edge) + 1.0);
-    (0..24_usize).filter_map(move |k| {
-        let (axis, side) = (k / 8, k / 4 % 2);
-        let mut at = middle;
-        for (turn, other) in [(axis + 1) % 3, (axis + 2) % 3].into_iter().enumerate() {
-            at[other] += if k >> turn & 1 == 0 { -0.25 } else { 0.25 };
-        }
-        at[axis] += if side == 0 { -reach } else { reach };
-        leaf_at(leaves, at)
-    })
-}
-
-/// The leaf at a place in cell units.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked against the box")]
-fn leaf_at(leaves: &Leaves, units: [f64; 3]) -> Option<usize> {
-    let bricks = &leaves.bricks;
-    if !(0..3).all(|a| units[a] >= 0.0 && units[a] < real(bricks.cells[a])) {
-        return None;
-    }
-    let c = units.map(|u| u as usize);
-    let b = c.map(|c| c / EDGE);
-    let brick = bricks.list[(b[0] * bricks.count[1] + b[1]) * bricks.count[2] + b[2]];
-    let c = c.map(|c| c % EDGE);
-    (brick.first != NONE).then(|| brick.place(c[0], c[1], c[2]))
-}
-
-/// Plate and medium divided by plate + walls + medium: of both halves together, and of each.
-fn shares<S: Spectrum>(halves: &[[S; 3]; 2]) -> Shares<S> {
-    let divide = |sums: [S; 3]| {
-        let total = sums[0].plus(sums[1]).plus(sums[2]);
-        [sums[0].over(total), sums[2].over(total)]
-    };
-    let both = [0, 1, 2].map(|k: usize| halves[0][k].plus(halves[1][k]));
-    let whole = divide(both);
-    let half = |h: usize| {
-        let sum = halves[h][0].plus(halves[h][1]).plus(halves[h][2]).sum();
-        if sum > 0.0 { divide(halves[h]) } else { whole }
-    };
-    [whole, half(0), half(1)]
-}
-
-/// Light from the two walls across an axis divided by plate + walls + medium, as [`shares`].
-fn side_shares<S: Spectrum>(halves: &[[S; 3]; 2], sides: &[[S; SIDES]; 2], axis: usize) -> Shares<S> {
-    let total = [0, 1].map(|h: usize| halves[h][0].plus(halves[h][1]).plus(halves[h][2]));
-    let pair = [0, 1].map(|h: usize| [sides[h][2 * axis], sides[h][2 * axis + 1]]);
-    let whole = [0, 1].map(|row: usize| pair[0][row].plus(pair[1][row]).over(total[0].plus(total[1])));
-    let half = |h: usize| if total[h].sum() > 0.0 { pair[h].map(|side| side.over(total[h])) } else { whole };
-    [whole, half(0), half(1)]
-}
-
-/// Gives leaves without paths the mean of their brick, or of all; the standard deviation of those that have some.
-fn fill<S: Spectrum>(owner: &[u32], bricks: usize, shares: &mut [Shares<S>], counts: &[f32]) -> [S; ROWS] {
-    let zero = [[S::ZERO; ROWS]; 3];
-    let add = |to: &mut Shares<S>, from: &Shares<S>, weight: f32| {
-        for k in 0..3 {
-            for row in 0..ROWS {
-                to[k][row] = to[k][row].plus(from[k][row].scaled(weight));
-            }
-        }
-    };
-    let mut sums = vec![(zero, 0.0_f32); bricks];
-    let mut all = (zero, 0.0_f32);
-    for (leaf, &o) in owner.iter().enumerate() {
-        if counts[leaf] > 0.0 {
-            let sum = &mut sums[o as usize];
-            add(&mut sum.0, &shares[leaf], counts[leaf]);
-            sum.1 += counts[leaf];
-        }
-    }
-    for (sum, count) in &sums {
-        add(&mut all.0, sum, 1.0);
-        all.1 += count;
-    }
-    for (leaf, &o) in owner.iter().enumerate() {
-        if counts[leaf] <= 0.0 {
-            let (sum, count) = if sums[o as usize].1 > 0.0 { &sums[o as usize] } else { &all };
-            let mut value = zero;
-            add(&mut value, sum, if *count > 0.0 { 1.0 / count } else { 0.0 });
-            shares[leaf] = value;
-        }
-    }
-    let mut square = [S::ZERO; ROWS];
-    let per_path = if all.1 > 0.0 { 1.0 / all.1 } else { 0.0 };
-    for (share, &count) in shares.iter().zip(counts) {
-        for row in 0..ROWS {
-            let apart = share[0][row].minus(all.0[0][row].scaled(per_path));
-            square[row] = square[row].plus(apart.times(apart).scaled(count * per_path));
-        }
-    }
-    square.map(|s| S::ZERO.signed_hypot(s))
-}
-
-/// How many paths the mean of the neighbours is worth, for the leaves of each brick: the variance of one path over the
-/// squared difference between a leaf and its neighbours that is not noise (the product of the differences in the two
-/// independent halves), at the upper end of its uncertainty, so that few leaves mix little.
-fn strengths<S: Spectrum>(owner: &[u32], places: &[Place], shares: &[Shares<S>], counts: &[f32]) -> Vec<f32> {
-    let bricks = owner.last().map_or(0, |&o| o as usize + 1);
-    let mut first = vec![0_usize; bricks + 1];
-    for &o in owner {
-        first[o as usize + 1] += 1;
-    }
-    for b in 0..bricks {
-        first[b + 1] += first[b];
-    }
-    (0..bricks)
-        .into_par_iter()
-        .with_min_len(8)
-        .map(|b| {
-            let (mut noise, mut apart, mut square, mut number) = (0.0_f32, 0.0_f32, 0.0_f32, 0.0_f32);
-            for leaf in first[b]..first[b + 1] {
-                let (sum, n) = mean_beside(&places[leaf].beside, shares, counts);
-                if n <= 0.0 || counts[leaf] <= 0.0 {
-                    continue;
-                }
-                let own = &shares[leaf];
-                let (mut half, mut product) = (0.0, 0.0);
-                for row in 0..ROWS {
-                    let differ = own[1][row].minus(own[2][row]);
-                    half += differ.times(differ).sum();
-                    let [x, y] = [1, 2].map(|h: usize| own[h][row].minus(sum[h][row].scaled(1.0 / n)));
-                    product += x.times(y).sum();
-                }
-                noise += 0.25 * half * counts[leaf];
-                apart += product;
-                square += product * product;
-                number += 1.0;
-            }
-            let upper = apart + CAUTION * square.sqrt();
-            if number > 0.0 && noise > 0.0 { (noise / upper.max(1e-3 * noise)).max(0.0) } else { 0.0 }
-        })
-        .collect()
-}
-
-/// Sum of the neighbours' shares, pair by pair weighted by their paths (at least a little), and the weights' sum.
-fn mean_beside<S: Spectrum>(beside: &[u32; 6], shares: &[Shares<S>], counts: &[f32]) -> (Shares<S>, f32) {
-    let mut sum = [[S::ZERO; ROWS]; 3];
-    let mut total = 0.0;
-    for pair in beside.chunks_exact(2) {
-        // Both sides with one weight, so that what rises from one to the other cancels.
-        if pair[0] == NONE || pair[1] == NONE {
-            continue;
-        }
-        let [low, high] = [pair[0] as usize, pair[1] as usize];
-        let weight = 2.0 / (1.0 / counts[low].max(1e-3) + 1.0 / counts[high].max(1e-3));
-        total += 2.0 * weight;
-        for k in 0..3 {
-            for row in 0..ROWS {
-                let both = shares[low][k][row].plus(shares[high][k][row]);
-                sum[k][row] = sum[k][row].plus(both.scaled(weight));
-            }
-        }
-    }
-    (sum, total)
-}
-
-/// A leaf moved by `part` towards the mean of its neighbours; and how many paths it is worth then.
-fn mix<S: Spectrum>(
-    leaf: usize,
-    beside: &[u32; 6],
-    shares: &[Shares<S>],
-    counts: &[f32],
-    part: f32,
-) -> (Shares<S>, f32) {
-    let (sum, total) = mean_beside(beside, shares, counts);
-    if total <= 0.0 || part <= 0.0 {
-        return (shares[leaf], counts[leaf]);
-    }
-    let mut out = shares[leaf];
-    for k in 0..3 {
-        for row in 0..ROWS {
-            out[k][row] = out[k][row].scaled(1.0 - part).plus(sum[k][row].scaled(part / total));
-        }
-    }
-    let variance = (1.0 - part) * (1.0 - part) / counts[leaf].max(1e-3) + part * part / total;
-    (out, if variance > 0.0 { 1.0 / variance } else { counts[leaf] })
-}
-
 /// What is known of the leaves while their shapes are found.
 struct Known<'a, S> {
     leaves: &'a Leaves,
     places: &'a [Place],
     shares: &'a [Shares<S>],
     counts: &'a [f32],
-    /// Shapes of the leaves larger than those in work.
-    done: Vec<InLeaf<S>>,
+    /// Slopes of the leaves larger than those in work: `[leaf][row][axis]`.
+    slopes: Vec<[[S; 3]; ROWS]>,
+    /// Half the longest edge of the medium in cells.
+    extent: f32,
 }
 
 impl<S: Spectrum> Known<'_, S> {
     /// Mean, slopes and curvatures of a leaf's shares, and how far they may be bent.
+    #[inline(always)]
     fn shape(&self, leaf: usize, mixed: f32) -> InLeaf<S> {
         let own = &self.shares[leaf];
         let edge = narrow(real(self.places[leaf].edge));
@@ -548,8 +186,12 @@ impl<S: Spectrum> Known<'_, S> {
         }
         for axis in 0..3 {
             let [low, high] = [-1.0, 1.0].map(|side| self.beside(leaf, axis, side));
-            if low.is_none() && high.is_none() {
-                untold += 1.0;
+            // What is found behind a gap tells less.
+            let far = |other: &Option<(Shares<S>, f32)>| {
+                other.as_ref().is_none_or(|(_, there)| there.abs() > 0.75 * edge)
+            };
+            if far(&low) && far(&high) {
+                untold += if low.is_none() && high.is_none() { 1.0 } else { FAR_UNTOLD };
             }
             let here = self.places[leaf].offset[axis];
             // From where light is scattered in one leaf to where it is in the next.
@@ -597,7 +239,8 @@ impl<S: Spectrum> Known<'_, S> {
         if untold > 0.0 {
             // To either side: leaves that stand apart do not err together.
             let side = if hash(u32::try_from(leaf).unwrap_or(u32::MAX)) & 1 == 0 { 1.0 } else { -1.0 };
-            let part = side * UNTOLD * place.depth.min(1.0) * untold.sqrt();
+            let change = UNTOLD[0] * place.depth.min(1.0) + UNTOLD[1] * edge / self.extent;
+            let part = side * change * untold.sqrt();
             for row in 0..ROWS {
                 bias[row] = bias[row].plus(own[0][row].scaled(part));
             }
@@ -612,6 +255,7 @@ impl<S: Spectrum> Known<'_, S> {
 
     /// Shares of the nearest box as large as the leaf in the direction of one of its faces of which anything is known, at
     /// most [`FAR`] of them away; and where along the axis they are meant, from the centre of the one beside the face.
+    #[inline(always)]
     fn beside(&self, leaf: usize, axis: usize, side: f64) -> Option<(Shares<S>, f32)> {
         let place = &self.places[leaf];
         let edge = real(place.edge);
@@ -625,6 +269,7 @@ impl<S: Spectrum> Known<'_, S> {
 
     /// Shares of a box of an edge: those of the leaf there, of a larger one at the box's centre, or the mean of smaller
     /// ones; and where from the box's centre they are meant, along an axis. A leaf without paths knows nothing of its own.
+    #[inline(always)]
     fn around(&self, middle: [f64; 3], edge: usize, axis: usize) -> Option<(Shares<S>, f32)> {
         let known = |at| leaf_at(self.leaves, at).filter(|&l| self.counts[l] > 0.0);
         let other = leaf_at(self.leaves, middle)?;
@@ -640,7 +285,7 @@ impl<S: Spectrum> Known<'_, S> {
                 let apart = narrow(middle[axis]) - place.centre[axis] - place.offset[axis];
                 for half in &mut shares {
                     for row in 0..ROWS {
-                        half[row] = half[row].plus(self.done[other].share[row][1 + axis].scaled(apart));
+                        half[row] = half[row].plus(self.slopes[other][row][axis].scaled(apart));
                     }
                 }
             }
@@ -666,12 +311,13 @@ impl<S: Spectrum> Known<'_, S> {
 }
 
 /// Other channels over channel 0, of each leaf with its neighbours.
-fn ratios<S: Spectrum>(extra: usize, places: &[Place], cache: &Cache<S>) -> Vec<S> {
+fn ratios<S: Spectrum>(places: &Places<'_>, cache: &Cache<S>) -> Vec<S> {
+    let extra = places.channels - 1;
     if extra == 0 {
         return Vec::new();
     }
-    let mut ratio = vec![S::ZERO; places.len() * extra];
-    ratio.par_chunks_mut(extra).zip(places).enumerate().with_min_len(256).for_each(
+    let mut ratio = vec![S::ZERO; places.list.len() * extra];
+    ratio.par_chunks_mut(extra).zip(&places.list).enumerate().with_min_len(256).for_each(
         |(leaf, (ratio, place))| {
             let mut unit = S::ZERO;
             let around = place.beside.iter().filter(|&&b| b != NONE).map(|&b| b as usize);

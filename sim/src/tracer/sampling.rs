@@ -10,8 +10,9 @@ use super::gather::{Field, Light, Sight};
 use super::image::{ALBEDO_SHARE, Job, Stats, tell};
 use super::paths::World;
 use super::pixels::{in_tiles, sub_sights};
+use super::places::{Places, depths};
 use super::pyramid::Pyramid;
-use super::reconstruct::{Places, Scattered, depths, pure_bias, reconstruct};
+use super::reconstruct::{Scattered, pure_bias, reconstruct};
 use super::scatter::Scatter;
 use super::spectrum::{Spectrum, narrow, vectorised};
 use super::visibility::{self, Probes, Views};
@@ -51,10 +52,14 @@ const ROUGH: f64 = 2e-3;
 /// it, so that both together stay below.
 const MARGIN: f64 = 0.8;
 
-/// Depth and spread of leaves and of path blocks at a target of 1e-3.
-const LEAF: Limits = Limits { depth: 0.25, spread: 0.085 };
+/// Optical depth of what scatters in a leaf that lies alone, over the target: light changes by an eighth of itself there where
+/// the surroundings are about as far as the leaf is wide.
+const ALONE: f32 = 8.0;
 
-const BLOCK: Limits = Limits { depth: 0.85, spread: 0.034 };
+/// Limits of leaves and of path blocks at a target of 1e-3.
+const LEAF: Limits = Limits { depth: 0.25, spread: 0.085, alone: ALONE * 1e-3 };
+
+const BLOCK: Limits = Limits { depth: 0.85, spread: 0.034, alone: f32::INFINITY };
 
 /// Power of the target over 1e-3 with which they go, and its limits. The error of the leaves falls about as their depth
 /// does, and that of the image costs least where it is half of the whole: measured on sprays that fill a third of the image
@@ -68,8 +73,8 @@ const COARSEST: f64 = 4.5;
 /// Blocks for paths go with its square where it is larger than one, up to here.
 const ROUGHEST: f64 = 4.0;
 
-/// Blocks for paths of several groups, which cost three times as much each, are so much rougher: a third of them is visited
-/// less, and at a target of 1e-3 the error grows by 2e-4 to 3e-4 in quadrature.
+/// Blocks for paths of several groups, which cost three times as much each, are so much rougher: a third fewer are visited,
+/// and at a target of 1e-3 the error grows by 2e-4 to 3e-4 in quadrature.
 const ROUGHER: f64 = 2.0;
 
 /// In-scattered light with the leaves that it belongs to.
@@ -116,6 +121,7 @@ impl Job<'_> {
             let limits = |l: Limits, scale: f64| Limits {
                 depth: l.depth * narrow(scale),
                 spread: l.spread * narrow(scale),
+                alone: l.alone * narrow(scale),
             };
             // A rough image may follow its paths through a rougher medium.
             let rough =
@@ -126,10 +132,12 @@ impl Job<'_> {
             let mut leaves = Leaves { bricks, occupied: fine.occupied.clone(), demand: vec![0.0; count] };
             let depths = depths(fine, &pyramid, &leaves);
             let views = visibility::demand(fine, &mut leaves, &depths, &probes);
-            let places = Places::new(fine, &pyramid, &leaves, &depths);
+            let places = Places::new(&pyramid, &leaves, &depths, fine.channels);
             let chamber = self.options.walls.apart();
             let world = World { blocks: &blocks, scatter: &scatter, plate: self.frame.plate, chamber };
-            let origin = Origin { fine, leaves: &leaves, sights: self.frame.sights, seed: self.options.seed };
+            let scattering = pyramid.scattering.as_slice();
+            let (sights, seed) = (self.frame.sights, self.options.seed);
+            let origin = Origin { fine, scattering, leaves: &leaves, sights, seed };
             let mut cache = Cache::<S>::new(count, fine.channels, chamber.is_some());
             // Leaves with fewer than a path each tell nothing of their own error.
             let seen = leaves.demand.iter().filter(|&&d| d > 0.0).count();
@@ -191,8 +199,9 @@ impl Job<'_> {
     fn probes<S: Spectrum>(&self, fine: &Fine<S>, candidates: &[u32]) -> Probes<'_> {
         let wide = self.frame.pixel_in_cells(&fine.bricks);
         let centre = self.frame.camera.pixel_filter == PixelFilter::Centre;
-        // One probe for about every cell; for a rough image fewer will do: leaves beside those that were seen get some too.
-        let rough = if self.options.target_error >= ROUGH { 2 } else { 1 };
+        // One probe for about every cell; for a rough image, and for many groups, whose probes cost more, fewer will do: leaves
+        // beside those that were seen get some too.
+        let rough = if self.options.target_error >= ROUGH || fine.groups > 1 { 2 } else { 1 };
         let stride = if wide <= 0.25 {
             4
         } else if wide <= 1.0 / 3.0 {

@@ -11,8 +11,9 @@ use super::cache::Leaves;
 use super::error::TracerError;
 use super::fine::{CELLS, Fine};
 use super::medium::EMPTY;
-use super::reconstruct::{InLeaf, ROWS, Scattered, TERMS};
+use super::reconstruct::{InLeaf, Scattered, TERMS};
 use super::sampling::Lit;
+use super::shares::ROWS;
 use super::spectrum::{Spectrum, narrow};
 use rayon::prelude::*;
 

@@ -37,6 +37,8 @@ pub(super) trait Spectrum: Copy + Send + Sync + 'static {
     fn sum(self) -> f32;
     /// Largest lane.
     fn largest(self) -> f32;
+    /// Whether any lane is above a limit.
+    fn any_above(self, limit: f32) -> bool;
     /// The root of self² + square, with the sign of self.
     fn signed_hypot(self, square: Self) -> Self;
     /// e^−τ and 1 − e^−τ for the optical depth τ = self · length, see [`split`].
@@ -99,6 +101,10 @@ impl Spectrum for One {
     #[inline(always)]
     fn largest(self) -> f32 {
         self.0
+    }
+    #[inline(always)]
+    fn any_above(self, limit: f32) -> bool {
+        self.0 > limit
     }
     #[inline(always)]
     fn signed_hypot(self, square: Self) -> Self {
@@ -235,6 +241,16 @@ macro_rules! side_by_side {
                     }
                 }
                 largest_of(most)
+            }
+            #[inline(always)]
+            fn any_above(self, limit: f32) -> bool {
+                let mut any = false;
+                for n in 0..N {
+                    for i in 0..$width {
+                        any |= self[n].0[i] > limit;
+                    }
+                }
+                any
             }
             #[inline(always)]
             fn signed_hypot(mut self, square: Self) -> Self {

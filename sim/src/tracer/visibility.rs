@@ -6,8 +6,10 @@ use super::camera::Sights;
 use super::fine::{CELLS, Fine};
 use super::lanes::LANES;
 use super::packet::Packet;
+use super::places::neighbours;
 use super::plate::Plate;
-use super::reconstruct::{InLeaf, ROWS, neighbours};
+use super::reconstruct::InLeaf;
+use super::shares::ROWS;
 use super::spectrum::{One, Spectrum, narrow, vectorised};
 use super::vector::Vector;
 use rayon::prelude::*;
@@ -198,7 +200,7 @@ fn one_by_one<S: Spectrum>(
                     let mut march = fine.bricks.march(origin, direction, far);
                     while let Some(Segment { place, block: [x, y, z], start, end }) = march.next() {
                         let [k, albedo] = fine.core[place];
-                        if k.largest() <= 0.0 {
+                        if !k.any_above(0.0) {
                             continue;
                         }
                         let here = cuts[place / CELLS].place(x, y, z);
@@ -209,7 +211,7 @@ fn one_by_one<S: Spectrum>(
                         let (passed, stopped) = k.split(narrow(end - start));
                         sum = sum.plus(through.times(stopped).times(albedo));
                         through = through.times(passed);
-                        if through.largest() <= OPAQUE {
+                        if !through.any_above(OPAQUE) {
                             break;
                         }
                     }

@@ -101,10 +101,10 @@ fn both<S: Spectrum>(medium: &GridMedium, limits: Limits, paths: u32) -> [Vec<f3
     [alone, together].map(|rows| rows.iter().flat_map(|row| (0..medium.groups).map(|g| row.get(g))).collect())
 }
 
-const EXACT: Limits = Limits { depth: 0.0, spread: 0.0 };
+const EXACT: Limits = Limits { depth: 0.0, spread: 0.0, alone: f32::INFINITY };
 
 fn straight<S: Spectrum>(groups: usize) {
-    for limits in [EXACT, Limits { depth: 0.5, spread: 0.5 }] {
+    for limits in [EXACT, Limits { depth: 0.5, spread: 0.5, alone: f32::INFINITY }] {
         let [alone, together] = both::<S>(&lumps(0.0, groups), limits, 3000);
         for (i, (a, b)) in alone.iter().zip(&together).enumerate() {
             // The second channel is that of one block.

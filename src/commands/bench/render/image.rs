@@ -152,7 +152,44 @@ pub(super) fn reference(watch: &Watch<'_>, standard: &Standard) -> Result<Findin
 pub(super) fn bands(watch: &Watch<'_>) -> Result<Findings, TracerError> {
     let list = [1_u32, 2, 4, 8, 16, 32].map(|n| (f64::from(n), Plumes { groups: n as usize, ..STANDARD }));
     let title = "image mode against the number of wavelengths: 128³ cells, target 1e-3";
-    swept(watch, "render_bands", title, "wavelengths", &list)
+    let mut findings = swept(watch, "render_bands", title, "wavelengths", &list)?;
+    findings.figures.push(one_by_one(watch, &Plumes { groups: 16, ..STANDARD }.medium()?)?);
+    Ok(findings)
+}
+
+/// What a wavelength of a set costs when each is rendered alone: the mean of them.
+fn one_by_one(watch: &Watch<'_>, medium: &GridMedium) -> Result<Figure, TracerError> {
+    let groups = medium.groups;
+    let [mut seconds, mut told] = [0.0; 2];
+    let mut pixels = 0;
+    for g in 0..groups {
+        let of = |all: &[f64]| all.iter().skip(g).step_by(groups).copied().collect();
+        let lone = GridMedium {
+            groups: 1,
+            index: medium.index.clone(),
+            k_ext: of(&medium.k_ext),
+            k_sca: of(&medium.k_sca),
+            emission: of(&medium.emission),
+            phase: vec![medium.phase[g].clone()],
+            ..*medium
+        };
+        let (best, image) = timed(watch, &lone, TARGET, true)?;
+        let [plate, medium] = declared(&image);
+        (seconds, told, pixels) = (seconds + best, told + plate.max(medium), image.pixels.len());
+    }
+    #[expect(clippy::cast_precision_loss, reason = "wavelengths are few")]
+    let each = 1.0 / groups as f64;
+    let name = format!("a wavelength of {groups} alone, mean of all");
+    eprintln!("{name}: {:.3} s", seconds * each);
+    Ok(Figure {
+        name,
+        seconds: seconds * each,
+        error: told * each,
+        error_kind: "declared rms".into(),
+        n: pixels,
+        threads: rayon::current_num_threads(),
+        seed: Some(SEED),
+    })
 }
 
 /// More and more, smaller and smaller cells of the same plumes.
