@@ -35,8 +35,10 @@ const CUTS_MAX: usize = 3;
 /// noise is worth up to five times as many.
 const RECUT: f64 = 1.1;
 
-/// Paths of the pilot: as many as bring the noise to twice the target where one path per image has a deviation of 0.5.
-const PILOT_DEVIATION: f64 = 0.25;
+/// Paths of the pilot: as many as bring the noise to the target if the light that they tell deviates by so much (measured:
+/// 0.08 to 0.13), but no more than bring it to twice the target where one path per image deviates by the second figure, since
+/// leaves may turn out too coarse.
+const PILOT_DEVIATION: [f64; 2] = [0.1, 0.5];
 
 const PILOT_MIN: f64 = 12_288.0;
 
@@ -141,7 +143,10 @@ impl Job<'_> {
             let mut cache = Cache::<S>::new(count, fine.channels, chamber.is_some());
             // Leaves with fewer than a path each tell nothing of their own error.
             let seen = leaves.demand.iter().filter(|&&d| d > 0.0).count();
-            let mut wanted = (PILOT_DEVIATION / target).powi(2).clamp(PILOT_MIN, PILOT_MAX).max(real(seen));
+            let noise = views.noise_of_a_path(&leaves.demand, fine.groups);
+            let [likely, most] = PILOT_DEVIATION;
+            let pilot = (noise * (likely / target).powi(2)).min((0.5 * most / target).powi(2));
+            let mut wanted = pilot.clamp(PILOT_MIN, PILOT_MAX).max(real(seen));
             let mut round = 0;
             let (scattered, [noise, bias], recut) = loop {
                 let left = real_wide(self.options.paths_max.saturating_sub(cache.samples));
@@ -199,9 +204,8 @@ impl Job<'_> {
     fn probes<S: Spectrum>(&self, fine: &Fine<S>, candidates: &[u32]) -> Probes<'_> {
         let wide = self.frame.pixel_in_cells(&fine.bricks);
         let centre = self.frame.camera.pixel_filter == PixelFilter::Centre;
-        // One probe for about every cell; for a rough image, and for many groups, whose probes cost more, fewer will do: leaves
-        // beside those that were seen get some too.
-        let rough = if self.options.target_error >= ROUGH || fine.groups > 1 { 2 } else { 1 };
+        // One probe for about every cell; for a rough image fewer will do: leaves beside those that were seen get some too.
+        let rough = if self.options.target_error >= ROUGH { 2 } else { 1 };
         let stride = if wide <= 0.25 {
             4
         } else if wide <= 1.0 / 3.0 {

@@ -60,6 +60,21 @@ impl<S: Spectrum> Views<S> {
         sums
     }
 
+    /// Mean square over the sights of the noise of a single path, shared out by the leaves' demands, if the light that
+    /// paths tell deviates by one.
+    pub(super) fn noise_of_a_path(&self, demand: &[f32], groups: usize) -> f64 {
+        let per_group = 1.0 / real(groups);
+        let seen = self.leaves.iter().zip(&self.weights);
+        let squares: f64 = seen
+            .map(|(&leaf, weight)| {
+                f64::from(weight.times(*weight).sum()) * per_group / f64::from(demand[leaf as usize])
+            })
+            .filter(|square| square.is_finite())
+            .sum();
+        let all: f64 = demand.iter().map(|&d| f64::from(d)).sum();
+        squares * all / real(self.starts.len().saturating_sub(1).max(1))
+    }
+
     /// Mean squares over the sights of noise and bias of plate and medium in some leaves, the mean over `groups` of each.
     pub(super) fn errors(
         &self,
