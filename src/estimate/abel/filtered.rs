@@ -48,6 +48,11 @@ pub(super) struct Choice {
 }
 
 impl Choice {
+    /// What is left of the square of a coefficient.
+    pub(super) fn left(&self, k: usize) -> f64 {
+        (1.0 - self.filter[k]).powi(2)
+    }
+
     /// Degrees of freedom that the answer takes from the data.
     pub(super) fn freedom(&self) -> f64 {
         self.filter.iter().sum()
