@@ -14,6 +14,8 @@
 
 mod ahead;
 mod answers;
+#[cfg(test)]
+mod extremes;
 pub mod flag;
 mod full;
 mod inputs;
