@@ -98,12 +98,12 @@ fn check_tells_what_a_plan_will_bring() {
 fn stacks_take_a_fitted_curve_with_its_residual() {
     let dir = tempfile::tempdir().unwrap();
     let curve = SakumaHattori { a_counts: 7.2e5, a_um: 3.4, b_um_k: 1.5 };
-    // A camera that is not linear: seven percent less at the hot end.
+    // A camera that is not linear: a quarter less at the hot end.
     let points: Vec<CalibrationPoint> = (0..12)
         .map(|k| {
             let temperature_k = 350.0 + 17.0 * f64::from(k);
             let counts = curve.value(temperature_k);
-            let bent = counts * (1.0 - 0.08 * counts / (counts + 60.0));
+            let bent = counts * (1.0 - 0.3 * counts / (counts + 60.0));
             CalibrationPoint { temperature_k, counts: bent, sigma_counts: 0.02 }
         })
         .collect();

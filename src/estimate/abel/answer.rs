@@ -96,6 +96,8 @@ const SHORT_ROWS: usize = 16;
 const SHORT_UNLIKE: f64 = 1.25;
 /// What a choice may keep of the members that a short look takes for noise of one size.
 const SHORT_KEPT: f64 = 0.5;
+/// The same where σ does not explain the residuals of some row: these are then good to a few 1e-3.
+const SHORT_KEPT_FAILED: f64 = 0.1;
 
 /// A choice of strength for each row.
 struct Chosen {
@@ -143,7 +145,10 @@ fn chosen(inverter: &Inverter, work: &Work<'_>, bank: &Bank, memory: &mut Memory
         let short = bank.short().and_then(|short| {
             let residuals = residuals_short(work, short, &order, memory)?;
             let found = choose::choices(&bank.filtered, &residuals, &said, n)?;
-            found.0.iter().all(|&choice| short.kept[choice] <= SHORT_KEPT).then_some(found)
+            let (choices, failed) = &found;
+            // Residuals that differ by a percent decide whether σ explains them.
+            let kept_max = if *failed > 0 { SHORT_KEPT_FAILED } else { SHORT_KEPT };
+            choices.iter().all(|&choice| short.kept[choice] <= kept_max).then_some(found)
         });
         let found = short.or_else(|| {
             let residuals = residuals_single(work, bank, &order, memory);
@@ -254,7 +259,8 @@ mod tests {
                 let axis = Axis { column: 60.0, sigma: 0.0, found: false };
                 let strength = Strength::Automatic;
                 let elements = Elements::Linear;
-                let settings = Settings { method, elements, strength, centre: None, pixel_m: 1.0 };
+                let settings =
+                    Settings { method, elements, strength, centre: None, pixel_m: 1.0, weighted: false };
                 let inverter = Inverter::new(columns, axis, &settings).unwrap();
                 let Kernel::Bank(bank) = &inverter.kernel else { panic!("a strength for each row") };
                 let mut memory = Memory::default();
@@ -295,7 +301,8 @@ mod tests {
         for method in [Method::Daun, Method::Basex] {
             let elements = Elements::Linear;
             let strength = Strength::Automatic;
-            let settings = Settings { method, elements, strength, centre: None, pixel_m: 1.0 };
+            let settings =
+                Settings { method, elements, strength, centre: None, pixel_m: 1.0, weighted: false };
             let inverter = Inverter::new(columns, axis, &settings).unwrap();
             let Kernel::Bank(bank) = &inverter.kernel else { panic!("a strength for each row") };
             let (short, n) = (bank.short().unwrap(), inverter.grid.n);

@@ -11,12 +11,10 @@ use std::sync::OnceLock;
 /// Where answers are made of so small a part of the basis, coefficients are added up; else one operator is applied.
 const NARROW: usize = 2;
 
-/// Members of a short look: a panel of a product.
-const SHORT_MEMBERS: usize = 128;
 /// The least smooth ones, which tell whether the rest is noise.
 const SHORT_LAST: usize = 32;
-/// It pays where there are so many times more.
-const SHORT_SHARE: usize = 2;
+/// It pays where there are so many members.
+const SHORT_FROM: usize = 256;
 
 /// The strengths of one width.
 #[derive(Debug, Clone)]
@@ -62,7 +60,7 @@ impl Bank {
     /// In f32 from the smoothest members alone; None where they are not few.
     pub(super) fn short(&self) -> Option<&Short> {
         let members = self.filtered.analysis.columns;
-        let few = self.filtered.complete && members >= SHORT_SHARE * SHORT_MEMBERS;
+        let few = self.filtered.complete && members >= SHORT_FROM;
         few.then(|| self.short.get_or_init(|| Short::new(&self.filtered)))
     }
 
@@ -91,14 +89,14 @@ pub(super) struct Short {
 
 impl Short {
     fn new(filtered: &Filtered) -> Self {
-        let all = filtered.analysis.columns;
+        let (all, few) = (filtered.analysis.columns, filtered.short);
         // The strongest choice tells which end is smooth.
         let smooth_first =
             filtered.choices.last().is_none_or(|choice| choice.filter[0] >= choice.filter[all - 1]);
         let (members, last, others) = if smooth_first {
-            (0..SHORT_MEMBERS, SHORT_MEMBERS - SHORT_LAST..SHORT_MEMBERS, SHORT_MEMBERS..all)
+            (0..few, few - SHORT_LAST..few, few..all)
         } else {
-            (all - SHORT_MEMBERS..all, 0..SHORT_LAST, 0..all - SHORT_MEMBERS)
+            (all - few..all, 0..SHORT_LAST, 0..all - few)
         };
         let mean =
             |choice: &Choice| others.clone().map(|k| choice.left(k)).sum::<f64>() / radius(others.len(), 0.0);
