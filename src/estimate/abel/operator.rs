@@ -57,7 +57,7 @@ impl Operator {
         let spans = |panel: Range<usize>| {
             let known = reach.map_or(0, |reach| panel.start.saturating_sub(reach)).min(columns);
             if blocks == 0 {
-                return vec![known..columns];
+                return std::iter::once(known..columns).collect();
             }
             let first = panel.start.saturating_sub(NEAR) / BLOCK;
             let last = (panel.end + NEAR).div_ceil(BLOCK).min(blocks);

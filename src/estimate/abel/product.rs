@@ -124,7 +124,7 @@ impl<T: Number> Packed<T> {
         value: impl Fn(usize, usize) -> f64,
     ) -> Self {
         let from = |first: usize| reach.map_or(0, |reach| first.saturating_sub(reach)).min(rows);
-        Self::in_spans(rows, columns, |panel| vec![from(panel.start)..rows], value)
+        Self::in_spans(rows, columns, |panel| std::iter::once(from(panel.start)..rows).collect(), value)
     }
 
     /// As [`Self::from_fn`]; of the columns of a panel only rows in its spans are looked at.

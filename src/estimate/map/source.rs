@@ -179,9 +179,12 @@ mod tests {
         }
     }
 
-    /// Blanks and spray of every cycle and level, with pixels that are saturated, still or blind.
+    /// Blanks and the spray frame of a cycle.
+    type Frames = (Vec<Vec<u16>>, Vec<u16>);
+
+    /// Those of every cycle and level, with pixels that are saturated, still or blind.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "counts")]
-    fn frames(cycles: usize, blanks: usize) -> Vec<Vec<(Vec<Vec<u16>>, Vec<u16>)>> {
+    fn frames(cycles: usize, blanks: usize) -> Vec<Vec<Frames>> {
         let mut state = 7_u64;
         let mut noise = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
