@@ -219,7 +219,11 @@ impl Stack {
         let none = SakumaHattori { a_counts: f64::NAN, a_um: f64::NAN, b_um_k: f64::NAN };
         let curve = case.calibration.as_ref().map_or(none, CaseCurve::curve);
         FitInputs {
-            x_counts: if case.x_counts.is_empty() { self.abscissae(&curve) } else { case.x_counts.clone() },
+            x_counts: if case.x_counts.is_empty() {
+                self.abscissae(|kelvin| curve.value(kelvin))
+            } else {
+                case.x_counts.clone()
+            },
             gamma_near: case.gamma,
             gamma_far: case.gamma,
             emissivity_plate: case.emissivity_plate,
@@ -234,20 +238,28 @@ impl Stack {
         }
     }
 
-    /// The same with another calibration: x is formed anew from the plate temperatures.
-    pub fn inputs_with(&self, estimator: Estimator, calibration: &Calibration) -> FitInputs<'static> {
-        let x_counts = self.abscissae(&calibration.curve);
-        FitInputs { x_counts, curve: calibration.curve, range: calibration.range, ..self.inputs(estimator) }
+    /// The same with another calibration: x is formed anew from the plate temperatures, with what a fitted curve leaves of the
+    /// camera's behaviour, as temperatures are.
+    pub fn inputs_with<'a>(&self, estimator: Estimator, calibration: &'a Calibration) -> FitInputs<'a> {
+        let Calibration { curve, range, ref fit } = *calibration;
+        let counts = |kelvin| fit.as_ref().map_or_else(|| curve.value(kelvin), |fit| fit.counts(kelvin));
+        FitInputs {
+            x_counts: self.abscissae(counts),
+            curve,
+            residual: fit.as_ref().and_then(|fit| fit.residual.as_ref()),
+            range,
+            ..self.inputs(estimator)
+        }
     }
 
-    /// x of the levels by a curve; None for a level without a temperature, or that the case leaves out.
-    fn abscissae(&self, curve: &SakumaHattori) -> Vec<Option<f64>> {
+    /// x of the levels by the counts of a temperature in K; None for a level without a temperature, or that the case leaves out.
+    fn abscissae(&self, counts: impl Fn(f64) -> f64) -> Vec<Option<f64>> {
         let case = &self.case;
         let left_out = |k: usize| !case.x_counts.is_empty() && case.x_counts[k].is_none();
         (0..case.pairs_per_setpoint.len())
             .map(|k| {
                 let temperature = case.setpoints_k.get(k).copied().flatten()?;
-                let x = case.gamma * curve.value(temperature);
+                let x = case.gamma * counts(temperature);
                 (!left_out(k) && x.is_finite()).then_some(x)
             })
             .collect()

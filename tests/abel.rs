@@ -31,7 +31,7 @@ fn run(columns: &[f64], method: Method, strength: Strength, pixel_m: f64) -> Inv
 
 fn run_of(elements: Elements, columns: &[f64], method: Method, strength: Strength, pixel_m: f64) -> Inverted {
     let image = Columns { values: columns, sigmas: None, rows: 1, columns: columns.len() };
-    invert(&image, &Settings { method, elements, strength, centre: None, pixel_m }).unwrap()
+    invert(&image, &Settings { method, elements, strength, centre: None, pixel_m, weighted: false }).unwrap()
 }
 
 /// Each pair with its columns on an odd width and the size of a pixel.
@@ -155,7 +155,8 @@ fn smooth_hollow_profiles_with_noise_are_found_by_cosines() {
     let rms = |method: Method, sigmas: Option<&[f64]>| {
         let image = Columns { values: &values, sigmas, rows, columns };
         let (elements, strength) = (Elements::Linear, Strength::Automatic);
-        let wanted = Settings { method, elements, strength, centre: Some(320.0), pixel_m: 1.0 };
+        let wanted =
+            Settings { method, elements, strength, centre: Some(320.0), pixel_m: 1.0, weighted: false };
         let found = invert(&image, &wanted).unwrap();
         let (mut sum, mut in_sigmas, mut count) = (0.0, 0.0, 0.0);
         for row in 0..rows {
@@ -204,7 +205,7 @@ fn temperatures_inside_a_dense_medium_come_back() {
     let image = |values| Columns { values, sigmas: None, rows: 1, columns };
     for method in [Method::ThreePoint, Method::Daun, Method::Fourier] {
         let (elements, strength) = (Elements::Linear, Strength::Automatic);
-        let wanted = Settings { method, elements, strength, centre: None, pixel_m: pixel };
+        let wanted = Settings { method, elements, strength, centre: None, pixel_m: pixel, weighted: false };
         let found = invert(&image(&depth), &wanted).unwrap();
         let sources = emission::sources(&image(&light), &found, pixel).unwrap();
         for c in 40..121 {

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
+use ditd::estimate::calibration::{CalibrationPoint, OffsetMode, SakumaHattori, fit_curve};
 use ditd::files::npz;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -89,4 +90,52 @@ fn check_tells_what_a_plan_will_bring() {
     }
     let words = String::from_utf8(ditd(&["check", "quickstart"]).stdout).unwrap();
     assert!(words.contains("Expected σ of T"));
+}
+
+/// A fitted curve whose points demand a residual is taken with it: x of every level and every temperature follow
+/// `CalibrationFit`, which the uncertainty budget follows as well. Without it temperatures would be off by kelvins.
+#[test]
+fn stacks_take_a_fitted_curve_with_its_residual() {
+    let dir = tempfile::tempdir().unwrap();
+    let curve = SakumaHattori { a_counts: 7.2e5, a_um: 3.4, b_um_k: 1.5 };
+    // A camera that is not linear: a quarter less at the hot end.
+    let points: Vec<CalibrationPoint> = (0..12)
+        .map(|k| {
+            let temperature_k = 350.0 + 17.0 * f64::from(k);
+            let counts = curve.value(temperature_k);
+            let bent = counts * (1.0 - 0.3 * counts / (counts + 60.0));
+            CalibrationPoint { temperature_k, counts: bent, sigma_counts: 0.02 }
+        })
+        .collect();
+    let fit = fit_curve(&points, OffsetMode::Known(0.0)).unwrap();
+    assert!(fit.residual.is_some());
+    let file = dir.path().join("calibration.json");
+    std::fs::write(&file, serde_json::to_string(&fit).unwrap()).unwrap();
+    let out = dir.path().join("map");
+    let told = ditd(&[
+        "fit",
+        &stack(),
+        "--estimator",
+        "ols",
+        "--calibration",
+        file.to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
+    ]);
+    assert!(told.status.success());
+    let summary: Value =
+        serde_json::from_str(&std::fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
+    for (level, plate_k) in [373.0, 403.0, 433.0, 463.0, 498.0, 533.0].into_iter().enumerate() {
+        let x = summary["inputs"]["x_counts"][level].as_f64().unwrap();
+        assert!((x - 0.95 * fit.counts(plate_k)).abs() < 1e-9, "{plate_k}");
+    }
+    let map = out.join("dit.npz");
+    let (crossing, kelvin) = (plane(&map, "crossing"), plane(&map, "temperature_k"));
+    let (mut seen, mut bent) = (0, 0.0_f64);
+    for (crossing, kelvin) in crossing.iter().zip(&kelvin).filter(|(_, kelvin)| kelvin.is_finite()) {
+        assert!((fit.temperature(0.99 * crossing) - kelvin).abs() < 1e-6, "{crossing} {kelvin}");
+        bent = bent.max((fit.curve.inverse(0.99 * crossing) - kelvin).abs());
+        seen += 1;
+    }
+    assert!(seen > 10 && bent > 0.1, "{seen} {bent}");
 }

@@ -59,6 +59,10 @@ pub(super) struct How {
     /// Daun's method with elements of this degree: 0 steps, 1 straight lines (if not given), 2 parabolas, 3 a cubic spline
     #[arg(long, value_name = "DEGREE", value_parser = clap::value_parser!(u8).range(0..=3))]
     pub(super) degree: Option<u8>,
+    /// Columns of a row count by 1/σ² in a fit of its own (daun, basex, fourier; needs σ): better where σ varies within rows, some
+    /// ten milliseconds a row
+    #[arg(long)]
+    pub(super) weighted: bool,
     /// Curve of growth of the absorber in the band: CSV with columns weight (response times plate light) and k (absorption)
     #[arg(long, value_name = "FILE.csv")]
     pub(super) growth: Option<PathBuf>,
@@ -119,8 +123,11 @@ impl How {
                 .ok_or_else(|| CommandError::usage("abel: --degree is 0, 1, 2 or 3."))?,
             (Some(_), _) => return Err(CommandError::usage("abel: --degree goes with --method daun.")),
         };
-        let Self { strength, centre, pixel_m, .. } = *self;
-        Ok(Settings { method, elements, strength, centre, pixel_m })
+        let Self { strength, centre, pixel_m, weighted, .. } = *self;
+        if weighted && !method.has_strength() {
+            return Err(CommandError::usage("abel: --weighted goes with --method daun, basex or fourier."));
+        }
+        Ok(Settings { method, elements, strength, centre, pixel_m, weighted })
     }
 
     /// The curve of growth that was given, or a gray band's.
@@ -146,6 +153,9 @@ pub fn run(args: &Args) -> CommandResult {
     let settings = args.how.settings(args.method)?;
     if args.how.growth.is_some() && !args.emissivity {
         return Err(CommandError::usage("abel: --growth is for emissivities: give --emissivity too."));
+    }
+    if settings.weighted && args.sigma.is_none() {
+        return Err(CommandError::usage("abel: --weighted weights by σ: give --sigma too."));
     }
     let (shape, mut values) = image(&args.input)?;
     let [rows, columns] = shape;

@@ -206,11 +206,11 @@ fn calibration_of(stack: &Stack, args: &Args) -> Result<Option<Calibration>, Com
 }
 
 /// What a stack is fitted with.
-fn inputs_of(
+fn inputs_of<'a>(
     stack: &Stack,
     estimator: Estimator,
-    calibration: Option<&Calibration>,
-) -> map::FitInputs<'static> {
+    calibration: Option<&'a Calibration>,
+) -> map::FitInputs<'a> {
     calibration
         .map_or_else(|| stack.inputs(estimator), |calibration| stack.inputs_with(estimator, calibration))
 }
@@ -244,6 +244,7 @@ fn calibration_json(inputs: &map::FitInputs<'_>) -> Value {
         "emissivity_plate": inputs.emissivity_plate,
         "far_window_counts": inputs.far_window_counts,
         "curve": inputs.curve,
+        "residual": inputs.residual,
         "range": inputs.range,
         "x_counts": inputs.x_counts,
     })

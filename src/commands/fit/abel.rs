@@ -31,6 +31,9 @@ pub(super) struct AbelArgs {
     /// Degree of the elements of Daun's method, 0 … 3, as in `ditd abel`
     #[arg(long, requires = "abel", value_name = "DEGREE", value_parser = clap::value_parser!(u8).range(0..=3))]
     abel_degree: Option<u8>,
+    /// Columns of a row count by 1/σ² in a fit of its own, as in `ditd abel`
+    #[arg(long, requires = "abel")]
+    abel_weighted: bool,
     /// Curve of growth of the absorber in the band, as in `ditd abel`; without it the medium counts as gray
     #[arg(long, value_name = "FILE.csv", requires = "abel")]
     abel_growth: Option<PathBuf>,
@@ -52,6 +55,7 @@ pub(super) fn inverted(args: &AbelArgs, out: &Path) -> Result<String, CommandErr
         strength: args.abel_strength,
         non_negative: args.abel_non_negative,
         degree: args.abel_degree,
+        weighted: args.abel_weighted,
         growth: args.abel_growth.clone(),
     };
     let settings = how.settings(method)?;

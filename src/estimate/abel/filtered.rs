@@ -34,6 +34,8 @@ pub(super) struct Filtered {
     pub(super) choices: Vec<Choice>,
     /// Whether the basis holds all data.
     pub(super) complete: bool,
+    /// So many of the smoothest members choose a strength where the others hold noise: what is kept of those falls below a half.
+    pub(super) short: usize,
 }
 
 /// One strength.
@@ -48,6 +50,11 @@ pub(super) struct Choice {
 }
 
 impl Choice {
+    /// What is left of the square of a coefficient.
+    pub(super) fn left(&self, k: usize) -> f64 {
+        (1.0 - self.filter[k]).powi(2)
+    }
+
     /// Degrees of freedom that the answer takes from the data.
     pub(super) fn freedom(&self) -> f64 {
         self.filter.iter().sum()
@@ -97,7 +104,13 @@ pub(super) fn daun(n: usize, phase: f64, of: Elements, fixed: Option<f64>) -> Op
         correction: Vec::new(),
     };
     let choices = fixed.map_or_else(|| strengths().map(choice).collect(), |one| vec![choice(one)]);
-    Some(Filtered { synthesis: inverse.times(&v).transposed(), analysis: v, choices, complete: true })
+    Some(Filtered {
+        synthesis: inverse.times(&v).transposed(),
+        analysis: v,
+        choices,
+        complete: true,
+        short: 128,
+    })
 }
 
 /// BASEX (V. Dribinski et al., Rev. Sci. Instrum. 73, 2634 (2002)): shells of a Gaussian-like section, one a pixel, with
@@ -125,7 +138,7 @@ pub(super) fn basex(n: usize, phase: f64, fixed: Option<f64>) -> Option<Filtered
         Choice { strength, filter, correction }
     };
     let choices = fixed.map_or_else(|| strengths().map(choice).collect(), |one| vec![choice(one)]);
-    Some(Filtered { analysis: v, synthesis, choices, complete: true })
+    Some(Filtered { analysis: v, synthesis, choices, complete: true, short: 192 })
 }
 
 /// Least part of a disc that is corrected for.
@@ -230,7 +243,7 @@ pub(super) fn fourier(n: usize, phase: f64, fixed: Option<f64>) -> Filtered {
         Some(count) => vec![choice(count)],
         None => (0..=cosines).rev().map(choice).collect(),
     };
-    Filtered { analysis: basis, synthesis: meaning.transposed(), choices, complete: false }
+    Filtered { analysis: basis, synthesis: meaning.transposed(), choices, complete: false, short: 0 }
 }
 
 /// Columns of the constant and the cosines, as seen and as they are: `[radius][k]`.

@@ -40,7 +40,7 @@ pub struct Inverter {
 pub(super) enum Kernel {
     /// One operator for all rows, with its reach: columns nearer to the axis than by so many radii have no part in a radius;
     /// None: all have.
-    Fixed(Operator, Option<usize>),
+    Fixed(Box<Operator>, Option<usize>),
     /// A strength for each row.
     Bank(Box<Bank>),
 }
@@ -82,7 +82,7 @@ impl Inverter {
         let (n, phase) = (grid.n, grid.phase);
         let shares = pixel_shares(&grid);
         let plain = |operator: Matrix, reach| {
-            Kernel::Fixed(Operator::new(operator, Some(reach), &shares), Some(reach))
+            Kernel::Fixed(Box::new(Operator::new(operator, Some(reach), &shares)), Some(reach))
         };
         let filtered = |filtered: Filtered| Kernel::Bank(Box::new(Bank::new(filtered, shares.clone())));
         let kernel = match settings.method {

@@ -9,8 +9,9 @@
 //! In reading order: what a caller says (`request`) and gets (`inverted`), the operators of a width (`inverter`) and their
 //! answers (`answer`, `unfold`), rows (`rows`), the axis (`centre`), radii and pixels (`grid`), halves (`fold`), the
 //! operators (`operators`) and those with a strength (`filtered`, `choose`), bounds (`bounded`), rows that are not
-//! complete (`single`), matrices (`matrix`), temperatures (`emission`).
+//! complete (`single`, `alone`), matrices (`matrix`), temperatures (`emission`).
 
+mod alone;
 mod answer;
 mod bank;
 mod bounded;

@@ -1,9 +1,12 @@
 //! One operator, ready to be applied to many rows: what is wanted of it is formed once.
 
 use super::matrix::Matrix;
+use super::operators::radius;
 use super::product::{Packed, Rows, multiply_here};
 use super::singles;
 use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::OnceLock;
 
 /// Rows of one parallel task of variances.
 const TASK_ROWS: usize = 64;
@@ -15,14 +18,25 @@ const SPAN_MAX: f64 = 1e12;
 /// variances and the others the smallest, they are less than 3e-10 of the answer.
 const SQUARE_MIN: f64 = 1e-24;
 
+/// Columns of one far block of variances …
+const BLOCK: usize = 8;
+/// … beyond so many radii from the answers of a panel …
+const NEAR: usize = 32;
+/// … where there are at least so many columns.
+const BLOCKS_FROM: usize = 192;
+
 /// A linear transform of one width: row i belongs to radius i.
 #[derive(Debug, Clone)]
 pub(super) struct Operator {
     pub(super) matrix: Matrix,
     /// Its transpose.
     pub(super) across: Packed<f64>,
-    /// The squares of that, over `square_unit`.
+    /// The same in f32, formed when it is first asked for.
+    single: OnceLock<Packed<f32>>,
+    reach: Option<usize>,
+    /// The squares of that, over `square_unit`: near columns one by one, then means over blocks of far ones.
     squares: Packed<f32>,
+    blocks: usize,
     square_unit: f64,
     /// Standard deviations at the radii for pixels of one, both halves complete.
     pub(super) unit_sigmas: Vec<f64>,
@@ -39,21 +53,61 @@ impl Operator {
             if d * d < SQUARE_MIN * largest { 0.0 } else { d * d / square_unit }
         };
         let (n, columns) = (matrix.rows, matrix.columns);
+        let blocks = if columns < BLOCKS_FROM { 0 } else { columns.div_ceil(BLOCK) };
+        let spans = |panel: Range<usize>| {
+            let known = reach.map_or(0, |reach| panel.start.saturating_sub(reach)).min(columns);
+            if blocks == 0 {
+                return std::iter::once(known..columns).collect();
+            }
+            let first = panel.start.saturating_sub(NEAR) / BLOCK;
+            let last = (panel.end + NEAR).div_ceil(BLOCK).min(blocks);
+            let near = known.max(first * BLOCK)..(last * BLOCK).min(columns);
+            vec![
+                near,
+                columns + (known / BLOCK).min(first)..columns + first,
+                columns + last..columns + blocks,
+            ]
+        };
+        let mean = |block: usize, i: usize| {
+            let members = block * BLOCK..((block + 1) * BLOCK).min(columns);
+            members.clone().map(|k| square(k, i)).sum::<f64>() / radius(members.len(), 0.0)
+        };
+        let squares = Packed::in_spans(columns + blocks, n, spans, |k, i| {
+            if k < columns { square(k, i) } else { mean(k - columns, i) }
+        });
         let variance =
             |i: usize| matrix.row(i).iter().zip(shares).map(|(d, share)| d * d * share).sum::<f64>();
         Self {
             across: Packed::from_fn(columns, n, reach, |k, i| matrix.at(i, k)),
-            squares: Packed::from_fn(columns, n, reach, square),
+            single: OnceLock::new(),
+            reach,
+            squares,
+            blocks,
             square_unit,
             unit_sigmas: (0..n).map(|i| variance(i).sqrt()).collect(),
             matrix,
         }
     }
 
+    /// Answers for the rows `order` of `narrow`, `[row][column]` in f32, times `unit`: good to a few 1e-7 of the largest
+    /// column times the largest sum of a row's magnitudes.
+    pub(super) fn answers_single(&self, narrow: &[f32], unit: f64, order: &[usize], out: &mut [f64]) {
+        let (n, columns) = (self.matrix.rows, self.matrix.columns);
+        let form = || Packed::from_fn(columns, n, self.reach, |k, i| self.matrix.at(i, k));
+        let across = self.single.get_or_init(form);
+        let chunks = out.par_chunks_mut(TASK_ROWS * n).zip(order.par_chunks(TASK_ROWS));
+        chunks.for_each_init(Vec::new, |memory: &mut Vec<f32>, (out, order)| {
+            memory.resize(out.len(), 0.0);
+            multiply_here(&Rows { values: narrow, stride: columns, order, depth: columns }, across, memory);
+            singles::widened(memory, unit, out);
+        });
+    }
+
     /// Variances at the radii for the rows `order` of `variances`, `[row][column]`, all ≥ 0.
     ///
     /// In f32, scaled by powers of two: all terms are positive, so that the relative error is at most their number times
-    /// 2⁻²⁴, in practice below 1e-6. Rows of variances too different for that are summed in f64.
+    /// 2⁻²⁴, in practice below 1e-6. Of wide images far columns go by the mean over some neighbours, which is exact where
+    /// their variances are alike. Rows of variances too different for f32 are summed in f64.
     pub(super) fn variances(&self, variances: &[f64], order: &[usize], out: &mut [f64]) {
         let (n, columns) = (self.matrix.rows, self.matrix.columns);
         if out.is_empty() || columns == 0 {
@@ -61,15 +115,18 @@ impl Operator {
         }
         let chunks = out.par_chunks_mut(TASK_ROWS * n).zip(order.par_chunks(TASK_ROWS));
         chunks.for_each_init(Vec::new, |memory: &mut Vec<f32>, (out, order)| {
-            memory.resize(TASK_ROWS * (n + columns), 0.0);
-            let (left, rest) = memory.split_at_mut(order.len() * columns);
+            let stride = columns + self.blocks;
+            memory.resize(TASK_ROWS * (n + stride), 0.0);
+            let (left, rest) = memory.split_at_mut(order.len() * stride);
             let answers = &mut rest[..order.len() * n];
             let mut units = [None; TASK_ROWS];
-            for ((left, unit), &row) in left.chunks_mut(columns).zip(&mut units).zip(order) {
+            for ((left, unit), &row) in left.chunks_mut(stride).zip(&mut units).zip(order) {
+                let (left, blocks) = left.split_at_mut(columns);
                 *unit = singled(&variances[row * columns..(row + 1) * columns], left);
+                singles::blocked::<BLOCK>(left, blocks);
             }
             let here: [usize; TASK_ROWS] = std::array::from_fn(|row| row);
-            let rows = Rows { values: left, stride: columns, order: &here[..order.len()], depth: columns };
+            let rows = Rows { values: left, stride, order: &here[..order.len()], depth: stride };
             multiply_here(&rows, &self.squares, answers);
             let each = out.chunks_mut(n).zip(answers.chunks(n)).zip(units).zip(order);
             for (((out, answers), unit), &row) in each {
@@ -108,6 +165,8 @@ fn power_of_two(value: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::filtered::daun;
+    use super::super::request::Elements;
     use super::*;
 
     /// f32 within its bound, f64 where a row spans too much, whatever the rows' own sizes; zero stays zero.
@@ -145,5 +204,34 @@ mod tests {
             }
         }
         assert!(operator.unit_sigmas.iter().all(|sigma| sigma.is_finite() && *sigma > 0.0));
+    }
+
+    /// On wide rows σ is that of single columns to 1e-6 where all are alike, to 1e-3 where they change by four percent a
+    /// radius, and to 1e-2 where neighbours differ at random by factors of some (the bounds that ABEL.md states).
+    #[test]
+    fn far_columns_may_go_by_blocks() {
+        let n = 270;
+        for (phase, strength) in [(0.0, 3.0), (0.5, 1e3)] {
+            let filtered = daun(n, phase, Elements::Linear, Some(strength)).unwrap();
+            let matrix = filtered.operator(0);
+            let operator = Operator::new(matrix.clone(), None, &vec![1.0; n]);
+            assert!(operator.blocks > 0);
+            #[expect(clippy::cast_precision_loss, reason = "small numbers")]
+            let kinds: [(&dyn Fn(usize) -> f64, f64); 3] = [
+                (&|_| 3.0, 1e-6),
+                (&|k| libm::exp(0.04 * k as f64), 1e-3),
+                (&|k| libm::exp(0.5 * ((k * 7919 % 101) as f64 / 25.0 - 2.0)), 1e-2),
+            ];
+            for (variance, bound) in kinds {
+                let given: Vec<f64> = (0..n).map(variance).collect();
+                let (mut found, mut wanted) = (vec![0.0; n], vec![0.0; n]);
+                operator.variances(&given, &[0], &mut found);
+                operator.doubled(&given, &mut wanted);
+                for (i, (found, wanted)) in found.iter().zip(&wanted).enumerate() {
+                    let off = ((found / wanted).sqrt() - 1.0).abs();
+                    assert!(off < bound, "{phase} {strength} {bound} {i}: {off}");
+                }
+            }
+        }
     }
 }

@@ -7,7 +7,7 @@
 use super::matrix::Matrix;
 use pulp::Simd;
 use rayon::prelude::*;
-use std::ops::{Add, Mul};
+use std::ops::{Add, Mul, Range};
 
 /// Bytes of a row of a panel: four of the widest vectors.
 const PANEL_BYTES: usize = 256;
@@ -102,8 +102,8 @@ pub(super) struct Packed<T> {
     pub(super) rows: usize,
     /// Columns: numbers of an answer.
     pub(super) columns: usize,
-    /// The matrix is zero where row + reach < column: such terms are skipped.
-    reach: Option<usize>,
+    /// Rows of each panel that are not zero, in the order of their terms.
+    spans: Vec<Vec<Range<usize>>>,
     panels: Vec<T>,
 }
 
@@ -123,13 +123,28 @@ impl<T: Number> Packed<T> {
         reach: Option<usize>,
         value: impl Fn(usize, usize) -> f64,
     ) -> Self {
+        let from = |first: usize| reach.map_or(0, |reach| first.saturating_sub(reach)).min(rows);
+        Self::in_spans(rows, columns, |panel| std::iter::once(from(panel.start)..rows).collect(), value)
+    }
+
+    /// As [`Self::from_fn`]; of the columns of a panel only rows in its spans are looked at.
+    pub(super) fn in_spans(
+        rows: usize,
+        columns: usize,
+        spans: impl Fn(Range<usize>) -> Vec<Range<usize>>,
+        value: impl Fn(usize, usize) -> f64,
+    ) -> Self {
         let mut panels = vec![T::default(); columns.div_ceil(Self::WIDTH) * rows * Self::WIDTH];
+        let mut all = Vec::new();
         for (panel, first) in panels.chunks_mut((rows * Self::WIDTH).max(1)).zip((0..).step_by(Self::WIDTH)) {
-            for (k, row) in panel.chunks_mut(Self::WIDTH).enumerate() {
+            let spans = spans(first..(first + Self::WIDTH).min(columns));
+            for k in spans.iter().cloned().flatten() {
+                let row = &mut panel[k * Self::WIDTH..(k + 1) * Self::WIDTH];
                 row.iter_mut().zip(first..columns).for_each(|(to, i)| *to = T::rounded(value(k, i)));
             }
+            all.push(spans);
         }
-        Self { rows, columns, reach, panels }
+        Self { rows, columns, spans: all, panels }
     }
 }
 
@@ -195,20 +210,38 @@ impl<T: Number> Product<'_, T> {
     /// All rows for some vectors of columns; returns how many.
     #[inline(always)]
     fn tiles<S: Simd, const VECTORS: usize>(&mut self, simd: S, column: usize) -> usize {
-        let Packed { rows, reach, .. } = *self.right;
+        let Packed { rows, .. } = *self.right;
         let width = Packed::<T>::WIDTH;
         let panel = &self.right.panels[column / width * rows * width..][..rows * width];
-        let to = self.left.depth;
-        let skipped = reach.map_or(0, |reach| column.saturating_sub(reach)).min(to);
-        // Once even where all is skipped: the sums are zero then.
-        for from in (skipped..to.max(skipped + 1)).step_by(DEPTH) {
-            let depth = from.min(to)..to.min(from + DEPTH);
-            for row in (0..self.left.order.len()).step_by(ROWS) {
-                let part = Part { panel, row, column, depth: depth.clone(), first: from == skipped };
-                self.tile::<S, VECTORS>(simd, &part);
+        let mut first = true;
+        for span in &self.right.spans[column / width] {
+            let to = span.end.min(self.left.depth);
+            for from in (span.start..to).step_by(DEPTH) {
+                self.all_rows::<S, VECTORS>(simd, panel, column, from..to.min(from + DEPTH), first);
+                first = false;
             }
         }
+        if first {
+            // Nothing but zeros.
+            self.all_rows::<S, VECTORS>(simd, panel, column, 0..0, true);
+        }
         VECTORS
+    }
+
+    /// Adds some rows of the matrix to the sums of all rows.
+    #[inline(always)]
+    fn all_rows<S: Simd, const VECTORS: usize>(
+        &mut self,
+        simd: S,
+        panel: &[T],
+        column: usize,
+        depth: Range<usize>,
+        first: bool,
+    ) {
+        for row in (0..self.left.order.len()).step_by(ROWS) {
+            let part = Part { panel, row, column, depth: depth.clone(), first };
+            self.tile::<S, VECTORS>(simd, &part);
+        }
     }
 
     /// Adds to the sums of four rows and some vectors of columns, in registers.
@@ -270,7 +303,7 @@ struct Part<'a, T> {
     row: usize,
     column: usize,
     /// Rows of the matrix.
-    depth: std::ops::Range<usize>,
+    depth: Range<usize>,
     /// Whether the sums begin here.
     first: bool,
 }

@@ -47,7 +47,7 @@ impl Method {
         }
     }
 
-    /// Whether it has a strength to be chosen.
+    /// Whether it fits columns, with a strength to be chosen.
     pub fn has_strength(self) -> bool {
         matches!(self, Self::Daun | Self::DaunNonNegative | Self::Basex | Self::Fourier)
     }
@@ -103,6 +103,9 @@ pub struct Settings {
     pub centre: Option<f64>,
     /// Size of a pixel in m.
     pub pixel_m: f64,
+    /// Whether the columns of each row count by 1/σ² in a fit of its own: for methods that fit, with σ given. Strengths are chosen
+    /// as without.
+    pub weighted: bool,
 }
 
 /// Why an image cannot be inverted.

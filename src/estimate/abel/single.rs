@@ -1,23 +1,20 @@
-//! Rows that go alone: with missing pixels, an axis between the radii, or bounds. The operator is formed for the radii that
-//! are known, and variances follow from the weight of every pixel in every answer.
+//! Rows that go alone: with missing pixels, an axis between the radii, bounds, or weights of their own. Variances follow from
+//! the weight of every pixel in every answer.
 
+use super::alone::{Alone, Key, Quadratic};
 use super::answer::Answer;
-use super::elements;
-use super::filtered::{self, cosines_seen, orthogonal, roughness};
 use super::fold::{Joined, Pixels};
-use super::inverter::{Inverter, Kernel};
+use super::inverter::Inverter;
 use super::matrix::{self, Matrix};
+use super::operators::radius;
 use super::request::Method;
 use super::rows::Work;
 use super::{bounded, flag};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Shells of BASEX this far inside the first known radius reach beyond it.
-const SHELL_REACH: usize = 3;
-
-/// Least strength of BASEX where shells outnumber columns, relative to the mean square of a shell.
-const SHELL_STRENGTH_MIN: f64 = 1e-10;
+/// Variances below this part of a row's mean count as that: no column outweighs the usual ones by more than a thousand σ.
+const VARIANCE_PART: f64 = 1e-6;
 
 /// Answers at the pixels of one row.
 #[derive(Debug, Clone)]
@@ -47,13 +44,11 @@ impl Joined {
     }
 }
 
-/// Operators are alike for rows of the same known radii and choice.
-type Key = (usize, usize, usize);
-
 /// The rows of `work` that go alone, answered; None for the others.
 pub(super) fn answers(inverter: &Inverter, work: &Work<'_>, answer: &Answer) -> Vec<Option<Found>> {
     let bounds = inverter.settings.method == Method::DaunNonNegative;
-    let whole = bounds.then(|| {
+    let weighted = inverter.settings.weighted && inverter.settings.method.has_strength() && work.given;
+    let whole = (bounds || weighted).then(|| {
         // Complete rows take part as well: their pixels are asked for anew.
         (0..work.rows).map(|row| joined_again(inverter, work, row)).collect::<Vec<Joined>>()
     });
@@ -66,10 +61,14 @@ pub(super) fn answers(inverter: &Inverter, work: &Work<'_>, answer: &Answer) -> 
         (0..work.rows).filter_map(|row| row_of(row).map(|joined| key(row, joined))).collect();
     keys.sort_unstable();
     keys.dedup();
+    if weighted {
+        keys.clear();
+    }
+    let alone = Alone::new(inverter);
     let operators: BTreeMap<Key, Option<Matrix>> =
-        keys.par_iter().map(|&key| (key, operator(inverter, key))).collect();
+        keys.par_iter().map(|&key| (key, alone.operator(key, None))).collect();
     let quadratics: BTreeMap<Key, Quadratic> = if bounds {
-        keys.par_iter().map(|&key| (key, Quadratic::new(inverter, key))).collect()
+        keys.par_iter().map(|&key| (key, alone.quadratic(key, None))).collect()
     } else {
         BTreeMap::new()
     };
@@ -80,11 +79,24 @@ pub(super) fn answers(inverter: &Inverter, work: &Work<'_>, answer: &Answer) -> 
             let key = key(row, joined);
             let variances = work.pixel_variances(row);
             let pixels = Pixels { values: work.pixel_values(row), variances: variances.as_deref() };
-            let linear = operators.get(&key).and_then(Option::as_ref);
             let found = Row { inverter, joined, pixels, noise: work.noise[row] };
+            if weighted {
+                let roots = found.roots();
+                let Some(operator) = alone.operator(key, Some(&roots)) else {
+                    return Some(found.nothing());
+                };
+                return Some(if bounds {
+                    found.bounded(&operator, &alone.quadratic(key, Some(&roots)), &roots)
+                } else {
+                    found.linear(&operator)
+                });
+            }
+            let linear = operators.get(&key).and_then(Option::as_ref);
             Some(match (linear, quadratics.get(&key)) {
                 (Some(operator), None) => found.linear(operator),
-                (Some(operator), Some(quadratic)) => found.bounded(operator, quadratic),
+                (Some(operator), Some(quadratic)) => {
+                    found.bounded(operator, quadratic, &vec![1.0; operator.rows])
+                }
                 (None, _) => found.nothing(),
             })
         })
@@ -98,101 +110,6 @@ fn joined_again(inverter: &Inverter, work: &Work<'_>, row: usize) -> Joined {
         let pixels = Pixels { values: work.pixel_values(row), variances: variances.as_deref() };
         super::fold::join(&inverter.grid, &pixels)
     })
-}
-
-/// The operator on the radii `from` ‥ `to` alone: nothing is beyond, nothing is asked of what is inside. None where there
-/// is no radius or no answer.
-fn operator(inverter: &Inverter, key: Key) -> Option<Matrix> {
-    let (from, to, choice) = key;
-    let (n, phase) = (inverter.grid.n, inverter.grid.phase);
-    if from >= to {
-        return None;
-    }
-    let trimmed =
-        |matrix: &Matrix| Matrix::from_fn(to - from, to - from, |i, j| matrix.at(from + i, from + j));
-    match &inverter.kernel {
-        Kernel::Fixed(fixed, Some(reach)) => {
-            let reach = *reach;
-            let mut out = trimmed(&fixed.matrix);
-            // The column just inside is not known: the parabola through the first three goes on.
-            for i in 0..out.rows.min(reach) {
-                for lost in from.saturating_sub(reach)..from {
-                    let weight = fixed.matrix.at(from + i, lost);
-                    #[expect(clippy::cast_precision_loss, reason = "one or two radii")]
-                    let t = -((from - lost) as f64);
-                    let parabola = match out.columns {
-                        1 => vec![1.0],
-                        2 => vec![1.0 - t, t],
-                        _ => vec![0.5 * (t - 1.0) * (t - 2.0), t * (2.0 - t), 0.5 * t * (t - 1.0)],
-                    };
-                    out.row_mut(i).iter_mut().zip(&parabola).for_each(|(d, share)| *d += weight * share);
-                }
-            }
-            Some(out)
-        }
-        kernel if from == 0 && to == n => Some(kernel.operator(choice).matrix.clone()),
-        _ => {
-            let strength = inverter.strength(choice);
-            match inverter.settings.method {
-                Method::Basex => {
-                    let shells = filtered::shells(n, phase);
-                    let first = from.saturating_sub(SHELL_REACH);
-                    let part =
-                        |m: &Matrix| Matrix::from_fn(to - from, to - first, |i, k| m.at(from + i, first + k));
-                    let (seen, own) = (part(&shells.seen), part(&shells.own));
-                    let mut normal = seen.transposed().times(&seen);
-                    #[expect(clippy::cast_precision_loss, reason = "numbers of radii")]
-                    let mean = (0..normal.rows).map(|k| normal.at(k, k)).sum::<f64>() / normal.rows as f64;
-                    let least = strength.max(SHELL_STRENGTH_MIN * mean);
-                    (0..normal.rows).for_each(|k| normal.row_mut(k)[k] += least);
-                    let mut out = own.times(&matrix::solve_positive(&normal, &seen.transposed())?);
-                    // The disc that the whole row is corrected with, as far as it is known here.
-                    let (disc, chords) = filtered::soft_disc(to, phase);
-                    for i in 0..out.rows {
-                        let made: f64 = out.row(i).iter().zip(&chords[from..]).map(|(d, p)| d * p).sum();
-                        let factor = filtered::correction(made, disc[from + i]);
-                        out.row_mut(i).iter_mut().for_each(|d| *d *= factor);
-                    }
-                    Some(out)
-                }
-                Method::Fourier => {
-                    #[expect(
-                        clippy::cast_possible_truncation,
-                        clippy::cast_sign_loss,
-                        reason = "a number of cosines"
-                    )]
-                    let cosines = (strength.max(0.0) as usize).min((to - from) / 2);
-                    let (seen, own) = cosines_seen(n, phase, cosines);
-                    let cut = |m: &Matrix| Matrix::from_fn(to - from, cosines + 1, |i, k| m.at(from + i, k));
-                    let both = orthogonal(&cut(&seen), &cut(&own), 0);
-                    Some(both.meaning.times(&both.basis.transposed()))
-                }
-                _ => {
-                    let Quadratic { a, quadratic, .. } = Quadratic::new(inverter, key);
-                    matrix::solve_positive(&quadratic, &a.transposed())
-                }
-            }
-        }
-    }
-}
-
-/// |A f − p|² + λ |L f|² on the radii `from` ‥ `to`.
-struct Quadratic {
-    a: Matrix,
-    quadratic: Matrix,
-}
-
-impl Quadratic {
-    fn new(inverter: &Inverter, key: Key) -> Self {
-        let (from, to, choice) = key;
-        let (grid, strength) = (&inverter.grid, inverter.strength(choice));
-        let whole = elements::columns(inverter.settings.elements, grid.n, grid.phase);
-        let a = elements::part(&whole, from, to);
-        let mut quadratic = a.transposed().times(&a);
-        let rough = roughness(to - from);
-        quadratic.values.iter_mut().zip(&rough.values).for_each(|(v, rough)| *v += strength * rough);
-        Self { a, quadratic }
-    }
 }
 
 /// One row that goes alone.
@@ -223,6 +140,18 @@ impl Row<'_> {
         self.joined.mixes.iter().map(value).collect()
     }
 
+    /// Roots of the weights of the known radii: their mean variance over their own, so that a strength which fits the noise of
+    /// columns that count alike fits this one's.
+    fn roots(&self) -> Vec<f64> {
+        let variance = |mix: &super::grid::Mix| -> f64 {
+            mix.iter().map(|&(c, w)| w * w * self.pixels.variances.map_or(1.0, |known| known[c])).sum()
+        };
+        let variances: Vec<f64> = self.joined.mixes.iter().map(variance).collect();
+        let mean = variances.iter().sum::<f64>() / radius(variances.len(), 0.0);
+        let root = |v: &f64| (mean / v.max(VARIANCE_PART * mean)).sqrt();
+        variances.iter().map(|v| if mean > 0.0 { root(v) } else { 1.0 }).collect()
+    }
+
     fn linear(&self, operator: &Matrix) -> Found {
         let known = self.columns_known();
         let values = (0..operator.rows)
@@ -231,12 +160,15 @@ impl Row<'_> {
         self.at_pixels(&values, &self.weights(operator), &self.joined.flags)
     }
 
-    fn bounded(&self, operator: &Matrix, quadratic: &Quadratic) -> Found {
+    /// Under f ≥ 0; `roots` are those of the weights that `quadratic` was formed with.
+    fn bounded(&self, operator: &Matrix, quadratic: &Quadratic, roots: &[f64]) -> Found {
         let known = self.columns_known();
         let dot = |row: &[f64]| row.iter().zip(&known).map(|(a, p)| a * p).sum::<f64>();
         let start: Vec<f64> = (0..operator.rows).map(|i| dot(operator.row(i))).collect();
         let across = quadratic.a.transposed();
-        let b: Vec<f64> = (0..across.rows).map(|i| dot(across.row(i))).collect();
+        let heavy: Vec<f64> = known.iter().zip(roots).map(|(p, root)| p * root).collect();
+        let weighted = |row: &[f64]| row.iter().zip(&heavy).map(|(a, p)| a * p).sum::<f64>();
+        let b: Vec<f64> = (0..across.rows).map(|i| weighted(across.row(i))).collect();
         let found = bounded::minimum(&quadratic.quadratic, &b, &start);
         let mut flags = self.joined.flags.clone();
         let settled = if found.settled { 0 } else { flag::NOT_SETTLED };
@@ -245,7 +177,7 @@ impl Row<'_> {
         (0..operator.rows).for_each(|i| flags[self.joined.from + i] |= settled | flag::AT_BOUND);
         // Where values are free the answer is linear in the columns as long as the same ones are free.
         let part = Matrix::from_fn(free.len(), free.len(), |i, j| quadratic.quadratic.at(free[i], free[j]));
-        let right = Matrix::from_fn(free.len(), across.columns, |i, j| across.at(free[i], j));
+        let right = Matrix::from_fn(free.len(), across.columns, |i, j| across.at(free[i], j) * roots[j]);
         let solved = matrix::solve_positive(&part, &right);
         for (k, &i) in free.iter().enumerate() {
             flags[self.joined.from + i] &= !flag::AT_BOUND;

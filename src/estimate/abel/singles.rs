@@ -17,6 +17,11 @@ pub(super) fn squared(values: &mut [f32]) {
     Arch::new().dispatch(Squared(values));
 }
 
+/// Sums of every `N` numbers, as far as there is room; the last may be of fewer.
+pub(super) fn blocked<const N: usize>(from: &[f32], to: &mut [f32]) {
+    Arch::new().dispatch(Blocked::<N> { from, to });
+}
+
 /// The smallest of those above zero (infinite for none) and the largest (zero for none) of numbers ≥ 0.
 pub(super) fn span(values: &[f64]) -> (f64, f64) {
     Arch::new().dispatch(Span(values))
@@ -48,6 +53,23 @@ impl WithSimd for Widened<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         self.to.iter_mut().zip(self.from).for_each(|(to, v)| *to = f64::from(*v) * self.scale);
+    }
+}
+
+struct Blocked<'a, const N: usize> {
+    from: &'a [f32],
+    to: &'a mut [f32],
+}
+
+impl<const N: usize> WithSimd for Blocked<'_, N> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let (whole, rest) = self.from.as_chunks::<N>();
+        self.to.iter_mut().zip(whole).for_each(|(to, block)| *to = block.iter().sum());
+        if let Some(to) = self.to.get_mut(whole.len()) {
+            *to = rest.iter().sum();
+        }
     }
 }
 

@@ -13,6 +13,7 @@ fn settings(method: Method, centre: f64) -> Settings {
         strength: Strength::Fixed(strength),
         centre: Some(centre),
         pixel_m: 1e-3,
+        weighted: false,
     }
 }
 
@@ -54,7 +55,7 @@ fn every_method_finds_a_gaussian_about_any_axis() {
 fn variances_are_those_of_the_operators_rows() {
     for (columns, centre) in PHASES {
         for method in Method::ALL.into_iter().filter(|m| *m != Method::DaunNonNegative) {
-            for holes in [false, true] {
+            for (holes, weighted) in [(false, false), (true, false), (false, true), (true, true)] {
                 let (mut values, _) = gaussian(1, columns, centre, 7.0);
                 if holes {
                     values[4] = f64::NAN;
@@ -63,7 +64,7 @@ fn variances_are_those_of_the_operators_rows() {
                 let sigmas: Vec<f64> = (0..columns).map(|c| 1e-5 * (2.0 + pseudo_noise(c))).collect();
                 let run = |values: &[f64]| {
                     let image = Columns { values, sigmas: Some(&sigmas), rows: 1, columns };
-                    invert(&image, &settings(method, centre)).unwrap()
+                    invert(&image, &Settings { weighted, ..settings(method, centre) }).unwrap()
                 };
                 let first = run(&values);
                 let mut sums = vec![0.0; columns];
@@ -260,5 +261,71 @@ fn threads_change_nothing() {
             found.alpha_per_m.iter().chain(&found.sigma_alpha).map(|v| v.to_bits()).collect::<Vec<_>>()
         };
         assert_eq!(run(1), run(3), "{method:?}");
+    }
+}
+
+/// Normal variables, the sum of twelve uniform ones each.
+fn normals() -> impl FnMut() -> f64 {
+    let mut state = 5_u64;
+    move || {
+        let mut uniform = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            f64::from(u32::try_from(state >> 40).unwrap()) / 16_777_216.0 - 0.5
+        };
+        (0..12).map(|_| uniform()).sum()
+    }
+}
+
+/// Where σ varies tenfold within rows, from pixel to pixel or from the axis outwards, columns that count by 1/σ² give a smaller
+/// error than columns that count alike, and the σ that is told is that of the error. With the same σ everywhere weights
+/// change nothing, and methods that fit nothing take none.
+#[test]
+fn weights_within_a_row_pay_where_its_sigmas_differ() {
+    let (rows, columns, centre) = (60, 122, 60.5);
+    let (clean, truth) = gaussian(rows, columns, centre, 20.0);
+    let peak = clean.iter().copied().fold(0.0, f64::max);
+    let by_pixel = |i: usize| libm::pow(10.0, 0.5 * pseudo_noise(i) - 0.5);
+    let by_radius = |i: usize| libm::pow(10.0, -(radius(i % columns, -centre) / centre).abs());
+    let kinds: [&dyn Fn(usize) -> f64; 2] = [&by_pixel, &by_radius];
+    for kind in kinds {
+        let sigmas: Vec<f64> = (0..rows * columns).map(|i| 0.02 * peak * kind(i)).collect();
+        let mut normal = normals();
+        let values: Vec<f64> = clean.iter().zip(&sigmas).map(|(v, s)| v + s * normal()).collect();
+        // So weak that errors are noise, not what is smoothed away.
+        for (method, strength) in [(Method::Daun, 30.0), (Method::Basex, 3.0), (Method::Fourier, 12.0)] {
+            let (strength, elements) = (Strength::Fixed(strength), Elements::Linear);
+            let run = |sigmas: &[f64], weighted| {
+                let image = Columns { values: &values, sigmas: Some(sigmas), rows, columns };
+                let wanted = Settings { strength, elements, weighted, ..settings(method, centre) };
+                invert(&image, &wanted).unwrap()
+            };
+            let judge = |found: &Inverted| {
+                let (mut error, mut z, mut n) = (0.0, 0.0, 0.0);
+                for (i, truth) in
+                    truth.iter().enumerate().filter(|(i, _)| (8..columns - 8).contains(&(i % columns)))
+                {
+                    let off = found.alpha_per_m[i] - truth;
+                    error += off * off;
+                    z += (off / found.sigma_alpha[i]).powi(2);
+                    n += 1.0;
+                }
+                ((error / n).sqrt(), (z / n).sqrt())
+            };
+            let (alike, weighted) = (judge(&run(&sigmas, false)), judge(&run(&sigmas, true)));
+            assert!(weighted.0 < 0.95 * alike.0, "{method:?}: {weighted:?} {alike:?}");
+            assert!((0.8..1.2).contains(&weighted.1), "{method:?}: {weighted:?}");
+            let same = vec![0.01 * peak; rows * columns];
+            let (common, own) = (run(&same, false), run(&same, true));
+            for (a, b) in common.alpha_per_m.iter().zip(&own.alpha_per_m) {
+                assert!((a - b).abs() < 1e-6, "{method:?} {a} {b}");
+            }
+        }
+        let image = Columns { values: &values, sigmas: Some(&sigmas), rows, columns };
+        let dasch = |weighted| {
+            invert(&image, &Settings { weighted, ..settings(Method::ThreePoint, centre) })
+                .unwrap()
+                .alpha_per_m
+        };
+        assert_eq!(dasch(false), dasch(true));
     }
 }

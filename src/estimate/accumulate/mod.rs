@@ -296,7 +296,13 @@ impl Sums {
         Ok(())
     }
 
-    fn check(&self, level: usize, blanks: &[&[u16]], spray: &[u16]) -> Result<(), AccumulateError> {
+    /// Whether a cycle could be added.
+    pub(super) fn check(
+        &self,
+        level: usize,
+        blanks: &[&[u16]],
+        spray: &[u16],
+    ) -> Result<(), AccumulateError> {
         if level >= self.levels.len() {
             return Err(AccumulateError::Level { level, levels: self.levels.len() });
         }

@@ -9,8 +9,8 @@ pub(super) trait Answers<F> {
     /// Which of [`CHANNELS`] it has. What is only needed for the others is not computed.
     const WANTED: [bool; CHANNELS.len()];
 
-    /// Takes down what is fitted, apart from channels.
-    fn prepare(&mut self, sums: &Sums, inputs: &FitInputs<'_>);
+    /// Takes down what is fitted, apart from channels; of `like` only shape and settings matter.
+    fn prepare(&mut self, like: &Sums, inputs: &FitInputs<'_>);
 
     /// The channels in the order of [`CHANNELS`], None where it has none, and the flags.
     fn planes_mut(&mut self) -> ([Option<&mut Vec<F>>; CHANNELS.len()], &mut Vec<u32>);

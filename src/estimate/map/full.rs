@@ -135,8 +135,8 @@ impl DitMap {
 impl Answers<f64> for DitMap {
     const WANTED: [bool; CHANNELS.len()] = [true; CHANNELS.len()];
 
-    fn prepare(&mut self, sums: &Sums, inputs: &FitInputs<'_>) {
-        (self.rows, self.columns, self.levels) = (sums.rows(), sums.columns(), sums.levels().len());
+    fn prepare(&mut self, like: &Sums, inputs: &FitInputs<'_>) {
+        (self.rows, self.columns, self.levels) = (like.rows(), like.columns(), like.levels().len());
         (self.estimator, self.confidence) = (inputs.estimator, inputs.confidence);
         self.budget = None;
         self.count.clear();

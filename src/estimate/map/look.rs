@@ -51,8 +51,8 @@ impl<F> Answers<F> for LookMap<F> {
     const WANTED: [bool; CHANNELS.len()] =
         [false, false, false, true, true, true, true, false, false, false, true, true, false, true, false];
 
-    fn prepare(&mut self, sums: &Sums, _: &FitInputs<'_>) {
-        (self.rows, self.columns) = (sums.rows(), sums.columns());
+    fn prepare(&mut self, like: &Sums, _: &FitInputs<'_>) {
+        (self.rows, self.columns) = (like.rows(), like.columns());
     }
 
     fn planes_mut(&mut self) -> ([Option<&mut Vec<F>>; CHANNELS.len()], &mut Vec<u32>) {

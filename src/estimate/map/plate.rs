@@ -62,8 +62,8 @@ fn limit<F: Machine>(common: &Common<'_>, gains: &[F], sigmas: &[F]) -> Option<F
 
 /// Standard deviations of the gains of some pixels, in order of pixels.
 fn sigma_gains<F: Machine>(common: &Common<'_>, pixels: &[usize]) -> Vec<F> {
-    let columns = common.sums.columns();
-    let mut walk = Walk::<F>::new(common.sums, common.inputs, &common.used);
+    let columns = common.source.like().columns();
+    let mut walk = Walk::<F>::new(common.source, common.inputs, &common.used);
     let mut sigmas = Vec::with_capacity(pixels.len());
     for pixels in pixels.chunk_by(|a, b| a / columns == b / columns) {
         let row = pixels[0] / columns;

@@ -3,6 +3,7 @@
 use super::rows::Walk;
 use super::single::{Detail, Pixel, Prospect};
 use super::solver::{BANDS_PER_THREAD, Common};
+use super::source::Source;
 use super::{Estimator, FitInputs};
 use crate::estimate::accumulate::Sums;
 use crate::estimate::line::{self, Line};
@@ -13,9 +14,9 @@ use rayon::prelude::*;
 /// Panics when there is no such pixel, which is the caller's mistake.
 pub fn detail(sums: &Sums, inputs: &FitInputs<'_>, row: usize, column: usize) -> Option<Detail> {
     assert!(row < sums.rows() && column < sums.columns(), "a pixel of the sums");
-    let common = Common::new(sums, inputs);
+    let common = Common::new(Source::Sums(sums), inputs);
     let mut pixel = Pixel::default();
-    let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
+    let mut walk = Walk::<f64>::new(common.source, inputs, &common.used);
     walk.start(row..row + 1, common.pools());
     let at = walk.row()?;
     let residuals = common.residuals.at(row * sums.columns() + column);
@@ -32,13 +33,13 @@ pub fn prospects(
     pixels_max: usize,
 ) -> Vec<Prospect> {
     let inputs = &FitInputs { estimator: Estimator::Default, ..inputs.clone() };
-    let common = Common::new(sums, inputs);
+    let common = Common::new(Source::Sums(sums), inputs);
     if sums.columns() == 0 || pixels_max == 0 {
         return Vec::new();
     }
     let mut pixel = Pixel::default();
     let mut found = Vec::new();
-    let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
+    let mut walk = Walk::<f64>::new(common.source, inputs, &common.used);
     walk.start(0..sums.rows(), true);
     while let Some(row) = walk.row() {
         for column in 0..row.columns {
@@ -100,7 +101,7 @@ fn by_pixel<T: Send>(
     inputs: &FitInputs<'_>,
     of: impl Fn(&[usize], &mut Pixel, usize) -> T + Sync,
 ) -> Vec<T> {
-    let common = Common::new(sums, inputs);
+    let common = Common::new(Source::Sums(sums), inputs);
     if sums.columns() == 0 {
         return Vec::new();
     }
@@ -113,7 +114,7 @@ fn by_pixel<T: Send>(
             let rows = start..(start + height).min(sums.rows());
             let mut pixel = Pixel::default();
             let mut found = Vec::with_capacity(rows.len() * sums.columns());
-            let mut walk = Walk::<f64>::new(sums, inputs, &common.used);
+            let mut walk = Walk::<f64>::new(common.source, inputs, &common.used);
             walk.start(rows, common.pools());
             while let Some(row) = walk.row() {
                 for column in 0..row.columns {

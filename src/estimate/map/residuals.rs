@@ -2,6 +2,7 @@
 
 use super::FitInputs;
 use super::rows::Walk;
+use super::source::Source;
 use crate::estimate::accumulate::Sums;
 use crate::estimate::line;
 use rayon::prelude::*;
@@ -13,6 +14,17 @@ const RADIUS: usize = 4;
 pub(super) struct Residuals(Vec<Vec<f64>>);
 
 impl Residuals {
+    /// None.
+    pub(super) fn none() -> Self {
+        Self(Vec::new())
+    }
+
+    /// Whether they are asked for, where so many of `used` levels were repeated: not where variances are, or too few to
+    /// scatter about a line.
+    pub(super) fn needed(repeated: usize, used: usize) -> bool {
+        repeated < 2 && used >= 3
+    }
+
     /// None when levels were repeated, or are too few to scatter about a line.
     pub(super) fn of(sums: &Sums, inputs: &FitInputs<'_>, used: &[usize], x: &[f64]) -> Self {
         let pixels = sums.rows() * sums.columns();
@@ -20,8 +32,8 @@ impl Residuals {
             .iter()
             .filter(|&&level| (0..pixels).any(|pixel| sums.levels()[level].count(pixel) >= 2))
             .count();
-        if repeated >= 2 || used.len() < 3 || sums.columns() == 0 {
-            return Self(Vec::new());
+        if !Self::needed(repeated, used.len()) || sums.columns() == 0 {
+            return Self::none();
         }
         let (rows, columns, points) = (sums.rows(), sums.columns(), used.len());
         let ones = vec![1.0; points];
@@ -30,7 +42,7 @@ impl Residuals {
             .into_par_iter()
             .map(|row| {
                 let mut out = Vec::new();
-                let mut walk = Walk::<f64>::new(sums, inputs, used);
+                let mut walk = Walk::<f64>::new(Source::Sums(sums), inputs, used);
                 walk.start(row..row + 1, false);
                 while let Some(row) = walk.row() {
                     let mut y = vec![0.0; points];

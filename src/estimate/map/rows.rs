@@ -6,9 +6,10 @@
 use super::ahead::Ahead;
 use super::lanes::{Aligned, Number, WIDEST};
 use super::pool::Pool;
+use super::source::{Held, Source};
 use super::statistics::{Statistics, saturated, statistics};
 use super::{FitInputs, flag};
-use crate::estimate::accumulate::{LevelSums, Sums};
+use crate::estimate::accumulate::LevelSums;
 use std::ops::Range;
 
 /// Rows and columns on each side of a pixel that lend it their variances: windows of 5 × 5.
@@ -50,7 +51,10 @@ pub(super) struct Row<'a, F> {
 
 /// Rows kept of one band of an image.
 pub(super) struct Walk<'a, F> {
-    sums: &'a Sums,
+    source: Source<'a>,
+    held: Held<'a>,
+    /// Rows of the image.
+    height: usize,
     used: &'a [usize],
     flat_gain: Option<&'a [f64]>,
     columns: usize,
@@ -109,10 +113,12 @@ impl<F: Number> Slot<F> {
 
 impl<'a, F: Number> Walk<'a, F> {
     /// A walk through the levels `used`.
-    pub(super) fn new(sums: &'a Sums, inputs: &FitInputs<'a>, used: &'a [usize]) -> Self {
-        let columns = sums.columns();
+    pub(super) fn new(source: Source<'a>, inputs: &FitInputs<'a>, used: &'a [usize]) -> Self {
+        let columns = source.like().columns();
         Self {
-            sums,
+            source,
+            held: Held::new(source),
+            height: source.like().rows(),
             used,
             flat_gain: inputs.flat_gain,
             columns,
@@ -145,26 +151,35 @@ impl<'a, F: Number> Walk<'a, F> {
         if self.reach > 0 { row % WINDOW } else { 0 }
     }
 
-    /// Pixels of a row.
+    /// Pixels of a row of the image.
     fn pixels(&self, row: usize) -> Range<usize> {
         row * self.columns..(row + 1) * self.columns
+    }
+
+    /// The same among the sums that are held.
+    fn pixels_held(&self, row: usize) -> Range<usize> {
+        self.pixels(row - self.held.of().1)
     }
 
     /// The next row; None after the last. (No closure takes the rows: it would not be compiled for the widest vectors.)
     #[inline(always)]
     pub(super) fn row(&mut self) -> Option<Row<'_, F>> {
         let row = self.rows.next()?;
-        while self.filled < (row + self.reach + 1).min(self.sums.rows()) {
+        while self.filled < (row + self.reach + 1).min(self.height) {
             self.fill(self.filled);
             self.filled += 1;
         }
         if self.reach > 0 {
-            let window = row.saturating_sub(RADIUS)..(row + RADIUS + 1).min(self.sums.rows());
+            let window = row.saturating_sub(RADIUS)..(row + RADIUS + 1).min(self.height);
             self.pool.take(&self.slots, window);
         }
         let slot = &self.slots[self.place(row)];
-        let last = (self.rows.end + self.reach).min(self.sums.rows());
-        let next = if self.filled < last { self.pixels(self.filled) } else { 0..0 };
+        let last = (self.rows.end + self.reach).min(self.height);
+        // Sums that are formed here are near.
+        let ahead = match self.source {
+            Source::Sums(sums) if self.filled < last => Ahead::new(sums, self.used, self.pixels(self.filled)),
+            source => Ahead::new(source.like(), self.used, 0..0),
+        };
         Some(Row {
             row,
             columns: self.columns,
@@ -175,7 +190,7 @@ impl<'a, F: Number> Walk<'a, F> {
             blank: &slot.blank,
             pooled: &self.pool.pooled,
             even: self.flat_gain.is_none(),
-            ahead: Ahead::new(self.sums, self.used, next),
+            ahead,
             flat: &slot.flat,
             flags: &slot.flags,
             alive: &slot.alive,
@@ -187,12 +202,14 @@ impl<'a, F: Number> Walk<'a, F> {
     /// Statistics of a row.
     #[inline(always)]
     fn fill(&mut self, row: usize) {
-        let range = self.pixels(row);
+        self.held.hold(row);
+        let range = self.pixels_held(row);
         let at = self.place(row);
         let slot = &mut self.slots[at];
         (slot.before, slot.alike) = (slot.alike, !self.used.is_empty());
         for (k, &level) in self.used.iter().enumerate() {
-            let level = &self.sums.levels()[level];
+            let (sums, _) = self.held.of();
+            let level = &sums.levels()[level];
             let to = k * self.stride..k * self.stride + self.columns;
             let out = Statistics {
                 count: &mut slot.count[to.clone()],
@@ -200,7 +217,7 @@ impl<'a, F: Number> Walk<'a, F> {
                 squares: &mut slot.squares[to.clone()],
                 blank: &mut slot.blank[to],
             };
-            slot.alike &= statistics(level, range.clone(), self.sums.blanks_per_cycle(), slot.before, out);
+            slot.alike &= statistics(level, range.clone(), sums.blanks_per_cycle(), slot.before, out);
         }
         self.finish(row);
     }
@@ -208,16 +225,17 @@ impl<'a, F: Number> Walk<'a, F> {
     /// Gains, flags and life of a row whose statistics are there.
     #[inline(always)]
     fn finish(&mut self, row: usize) {
-        let (range, columns, at) = (self.pixels(row), self.columns, self.place(row));
+        let (range, columns, at) = (self.pixels_held(row), self.columns, self.place(row));
+        let flat = self.flat_gain.map(|flat| &flat[self.pixels(row)]);
         let slot = &mut self.slots[at];
-        if let Some(flat) = self.flat_gain {
-            slot.flat.iter_mut().zip(&flat[range.clone()]).for_each(|(to, &gain)| *to = F::of(gain));
+        if let Some(flat) = flat {
+            slot.flat.iter_mut().zip(flat).for_each(|(to, &gain)| *to = F::of(gain));
             for k in 0..self.used.len() {
                 slot.alike &= calibrate(slot, k * self.stride..k * self.stride + columns);
             }
         }
         slot.lost.fill(0);
-        for (k, level) in self.sums.levels().iter().enumerate() {
+        for (k, level) in self.held.levels().iter().enumerate() {
             // The first pixel stands for all of a level where all are alike.
             let nothing = slot.alike
                 && self.used.contains(&k)
@@ -282,7 +300,7 @@ impl<'a, F: Number> Walk<'a, F> {
     fn constancy(&self, row: usize, column: usize) -> u32 {
         let slot = &self.slots[self.place(row)];
         let (zero, two) = (F::of(0.0), F::of(2.0));
-        let pixel = row * self.columns + column;
+        let pixel = self.pixels_held(row).start + column;
         let at = |k: usize| k * self.stride + column;
         let mut seen = (0..self.used.len()).filter(|&k| zero < slot.count[at(k)]);
         let Some(first) = seen.next() else { return 0 };
@@ -291,7 +309,7 @@ impl<'a, F: Number> Walk<'a, F> {
         if !still(first) {
             return 0;
         }
-        let level = |k: usize| &self.sums.levels()[self.used[k]];
+        let level = |k: usize| &self.held.levels()[self.used[k]];
         let one = level(first);
         let n = i128::from(one.count(pixel));
         let (mut dark, mut levels, mut repeated) = (true, 1, two <= slot.count[at(first)]);

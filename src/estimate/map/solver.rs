@@ -6,9 +6,9 @@ use super::lanes::{Machine, WIDEST};
 use super::plate;
 use super::residuals::Residuals;
 use super::rows::Walk;
+use super::source::Source;
 use super::writer::Writer;
 use super::{Estimator, FitInputs, LEVELS_MAX};
-use crate::estimate::accumulate::Sums;
 use crate::estimate::student::Quantiles;
 use pulp::Simd;
 use rayon::prelude::*;
@@ -20,7 +20,7 @@ pub(super) const BANDS_PER_THREAD: usize = 2;
 
 /// What is the same for all pixels of a fit.
 pub(super) struct Common<'a> {
-    pub(super) sums: &'a Sums,
+    pub(super) source: Source<'a>,
     pub(super) inputs: &'a FitInputs<'a>,
     /// Levels that have an x.
     pub(super) used: Vec<usize>,
@@ -29,7 +29,8 @@ pub(super) struct Common<'a> {
 }
 
 impl<'a> Common<'a> {
-    pub(super) fn new(sums: &'a Sums, inputs: &'a FitInputs<'a>) -> Self {
+    pub(super) fn new(source: Source<'a>, inputs: &'a FitInputs<'a>) -> Self {
+        let sums = source.like();
         let pixels = sums.rows() * sums.columns();
         let levels = sums.levels().len();
         assert!(inputs.x_counts.len() == levels, "one x per level");
@@ -38,13 +39,14 @@ impl<'a> Common<'a> {
         let known = |&k: &usize| inputs.x_counts[k].is_some_and(f64::is_finite);
         let used: Vec<usize> = (0..levels).filter(known).collect();
         let x: Vec<f64> = used.iter().filter_map(|&k| inputs.x_counts[k]).collect();
-        let residuals = match inputs.estimator {
-            Estimator::Default => Residuals::of(sums, inputs, &used, &x),
-            Estimator::Paper | Estimator::Ols => Residuals::of(sums, inputs, &[], &[]),
+        let residuals = match (inputs.estimator, source) {
+            (Estimator::Default, Source::Sums(sums)) => Residuals::of(sums, inputs, &used, &x),
+            // Shots that would need them are summed first.
+            _ => Residuals::none(),
         };
         let blanks = f64::from(sums.blanks_per_cycle());
         let constants = Constants::new(x, inputs, blanks, &Quantiles::new(inputs.confidence));
-        Self { sums, inputs, used, constants, residuals }
+        Self { source, inputs, used, constants, residuals }
     }
 
     /// Whether variances are pooled.
@@ -61,8 +63,8 @@ struct Band<'a, F> {
 }
 
 /// Fits every pixel into `map`, whose memory is used again.
-pub(super) fn solve_into<F: Machine, M: Answers<F>>(sums: &Sums, inputs: &FitInputs<'_>, map: &mut M) {
-    let common = Common::new(sums, inputs);
+pub(super) fn solve_into<F: Machine, M: Answers<F>>(source: Source<'_>, inputs: &FitInputs<'_>, map: &mut M) {
+    let (common, sums) = (Common::new(source, inputs), source.like());
     let (rows, columns) = (sums.rows(), sums.columns());
     map.prepare(sums, inputs);
     answers::reshape(map, rows * columns);
@@ -103,9 +105,9 @@ impl<F: Machine, M: Answers<F>> pulp::WithSimd for Task<'_, F, M> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { common, mut band, .. } = self;
-        let columns = common.sums.columns();
+        let columns = common.source.like().columns();
         let mut writer = Writer::<F, M>::new(common, columns.next_multiple_of(WIDEST));
-        let mut walk = Walk::new(common.sums, common.inputs, &common.used);
+        let mut walk = Walk::new(common.source, common.inputs, &common.used);
         walk.start(band.rows, common.pools());
         while let Some(row) = walk.row() {
             let channels = cut_channels(&mut band.channels, columns);
@@ -118,6 +120,7 @@ impl<F: Machine, M: Answers<F>> pulp::WithSimd for Task<'_, F, M> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimate::accumulate::Sums;
     use crate::estimate::calibration::SakumaHattori;
     use crate::estimate::map::{
         CONFIDENCE, CameraNoise, DitMap, LookMap, flag, lines_with_same_weights, look_into, solve,
@@ -195,7 +198,7 @@ mod tests {
 
     /// A map by one number at a time.
     fn by_scalars<F: Machine, M: Answers<F>>(sums: &Sums, inputs: &FitInputs<'_>, map: &mut M) {
-        let common = Common::new(sums, inputs);
+        let common = Common::new(Source::Sums(sums), inputs);
         map.prepare(sums, inputs);
         answers::reshape(map, sums.rows() * sums.columns());
         let (channels, flags) = answers::whole(map);

@@ -18,7 +18,7 @@ pub(super) fn ours<V: Lanes, L: Levels>(
     measure(ground, group, scratch);
     let &Ground { one, ref constants, places, plain, .. } = ground;
     let zero = one.all(0.0);
-    let least = one.all(VARIANCE_MIN);
+    let mut least = one.all(VARIANCE_MIN);
     let (levels, values) = (scratch.levels.as_ref(), scratch.means.as_ref());
     let (weights, laws) = (scratch.weights.as_mut(), scratch.laws.as_mut());
     let defined = plain.defined(one);
@@ -35,12 +35,24 @@ pub(super) fn ours<V: Lanes, L: Levels>(
         let variance = level.pooled.larger(camera).larger(least);
         *law = Law { camera, near, excess, inverse: zero, variance };
     }
+    if !group.even {
+        // In counts of the pixel: what 16 bits can hold has products that f32 can, whatever the gain.
+        let scale = group.flat * group.flat;
+        least = least * scale;
+        laws.iter_mut().for_each(|law| *law = law.scaled(scale));
+    }
     invert(one, laws);
     for _ in 1..PASSES {
-        weigh(ground, laws, weights, crossing);
+        weigh(ground, laws, weights, crossing, least);
         crossing = lines::rough_crossing(one, places, levels, weights, plain.mean_x);
     }
-    weigh(ground, laws, weights, crossing);
+    weigh(ground, laws, weights, crossing, least);
+    if !group.even {
+        let scale = group.flat * group.flat;
+        let per_scale = one.all(1.0) / scale;
+        laws.iter_mut().for_each(|law| *law = law.scaled(per_scale));
+        weights.iter_mut().for_each(|weight| *weight = *weight * scale);
+    }
     let first = (constants.first_x, group.first_mean);
     let line = lines::sums(one, places, values, weights, first).line(one, places, values, weights);
     let fitted = sandwich(ground, scratch, &line);
@@ -48,11 +60,11 @@ pub(super) fn ours<V: Lanes, L: Levels>(
     (Fitted { flags: fitted.flags + one.bit(alone, ALONE), ..fitted }, defined)
 }
 
-/// The law by pooled variances and a crossing, and the weights that follow.
+/// The law by pooled variances and a crossing, and the weights that follow; no variance is below `least`.
 #[inline(always)]
-fn weigh<V: Lanes>(ground: &Ground<'_, V>, laws: &mut [Law<V>], weights: &mut [V], crossing: V) {
+fn weigh<V: Lanes>(ground: &Ground<'_, V>, laws: &mut [Law<V>], weights: &mut [V], crossing: V, least: V) {
     let &Ground { one, places, .. } = ground;
-    let (zero, least) = (one.all(0.0), one.all(VARIANCE_MIN));
+    let zero = one.all(0.0);
     let clipped = ground.credible.clip(crossing);
     let (mut aa, mut ab, mut bb, mut ay, mut by) = (zero, zero, zero, zero, zero);
     for (place, law) in places.iter().zip(laws.iter()) {
@@ -96,6 +108,15 @@ impl<V: Copy> Law<V> {
     }
 }
 
+impl<V: Lanes> Law<V> {
+    /// The same in another unit of variances, but for the inverse.
+    #[inline(always)]
+    fn scaled(self, scale: V) -> Self {
+        let Self { camera, excess, variance, .. } = self;
+        Self { camera: camera * scale, excess: excess * scale, variance: variance * scale, ..self }
+    }
+}
+
 /// Works out the camera's own variance of spray − blank in one cycle, level by level, in the scale of the calibrated gain.
 #[inline(always)]
 fn measure<V: Lanes, L: Levels>(ground: &Ground<'_, V>, group: &Group<V>, scratch: &mut Scratch<V, L>) {
@@ -114,8 +135,8 @@ fn measure<V: Lanes, L: Levels>(ground: &Ground<'_, V>, group: &Group<V>, scratc
     }
 }
 
-/// One over the variances: one division for three of them, whose product is far from the ends of f32 (variances of 16 bit
-/// are below 10¹⁰). Two or three roundings more than a quotient each.
+/// One over the variances: one division for three of them, whose product is far from the ends of f32 in counts of the pixel
+/// (variances of 16 bit are below 10¹⁰). Two or three roundings more than a quotient each.
 #[inline(always)]
 fn invert<V: Lanes>(one: V, laws: &mut [Law<V>]) {
     let unit = one.all(1.0);

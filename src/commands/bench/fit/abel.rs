@@ -33,6 +33,7 @@ pub(super) fn figures(watch: &Watch<'_>) -> Result<Vec<Figure>, String> {
                 strength: Strength::Automatic,
                 centre: None,
                 pixel_m: 1.0,
+                weighted: false,
             };
             let axis = Axis { column: 0.5 * (COLUMNS as f64 - 1.0), sigma: 0.0, found: false };
             let inverter = Inverter::new(COLUMNS, axis, &settings).map_err(|e| e.to_string())?;

@@ -6,7 +6,7 @@
 use super::super::{Figure, Watch};
 use super::shots::{self, CAMERA, Field, PLATES_K, STRONG};
 use crate::estimate::accumulate::{Cycle, Sums};
-use crate::estimate::map::{DitMap, Estimator, LookMap, look_into, solve_into};
+use crate::estimate::map::{DitMap, Estimator, LookMap, Shots, look_at, look_into, solve_into};
 use std::hint::black_box;
 
 const ROWS: usize = 512;
@@ -71,11 +71,18 @@ fn empty() -> Sums {
 
 fn add_all(sums: &mut Sums, pairs: &[Vec<Pair>]) {
     for (level, pairs) in pairs.iter().enumerate() {
-        let blanks: Vec<[&[u16]; 1]> = pairs.iter().map(|(blank, _)| [blank.as_slice()]).collect();
-        let cycles: Vec<Cycle<'_>> =
-            pairs.iter().zip(&blanks).map(|((_, spray), blanks)| Cycle { blanks, spray }).collect();
-        sums.add_cycles(level, &cycles).expect("frames of this shape");
+        let blanks = alone(pairs);
+        sums.add_cycles(level, &cycles(pairs, &blanks)).expect("frames of this shape");
     }
+}
+
+/// The blank of every pair, as cycles take it.
+fn alone(pairs: &[Pair]) -> Vec<[&[u16]; 1]> {
+    pairs.iter().map(|(blank, _)| [blank.as_slice()]).collect()
+}
+
+fn cycles<'a>(pairs: &'a [Pair], blanks: &'a [[&'a [u16]; 1]]) -> Vec<Cycle<'a>> {
+    pairs.iter().zip(blanks).map(|((_, spray), blanks)| Cycle { blanks, spray }).collect()
 }
 
 fn measured(
@@ -141,16 +148,24 @@ fn measured(
         add_all(&mut fresh, pairs);
     });
     say("50 raw pairs to sums", adding, 0.0, "exact");
+    let blanks: Vec<Vec<[&[u16]; 1]>> = pairs.iter().map(|pairs| alone(pairs)).collect();
+    let levels = pairs.iter().zip(&blanks).map(|(pairs, blanks)| cycles(pairs, blanks)).collect();
+    let at_hand = Shots::new(&fresh, levels).expect("frames of this shape");
     for estimator in [Estimator::Default, Estimator::Paper] {
         let mut map = LookMap::empty();
         let inputs = shots::inputs(estimator, CAMERA);
         let whole = fastest(watch, threads, || {
+            look_at(black_box(&at_hand), &inputs, &mut map).expect("frames of this shape");
+        });
+        let name = format!("50 raw pairs to what is looked at in f32: {}", estimator.name());
+        say(&name, whole, rms(&wide(&map), truths), KIND);
+        let summed = fastest(watch, threads, || {
             fresh.clear();
             add_all(&mut fresh, pairs);
             look_into(&fresh, &inputs, &mut map);
         });
-        let name = format!("50 raw pairs to what is looked at in f32: {}", estimator.name());
-        say(&name, whole, rms(&wide(&map), truths), KIND);
+        let name = format!("the same by sums of the whole image: {}", estimator.name());
+        say(&name, summed, rms(&wide(&map), truths), KIND);
     }
 }
 
