@@ -75,7 +75,7 @@ fn alone<S: Spectrum>(
             return false;
         }
         let first = bricks.list[(brick[0] * bricks.count[1] + brick[1]) * bricks.count[2] + brick[2]].first;
-        let block = ((x % n) << log | y % n) << log | z % n;
+        let block = ((x % n) * n + y % n) * n + z % n;
         first != NONE && pyramid.blocks(first as usize / CELLS, log)[block].high > 0.0
     };
     let (mut lonely, mut all) = (0.0, 0.0);

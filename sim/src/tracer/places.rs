@@ -1,7 +1,5 @@
 //! Where the leaves of a medium lie: their neighbours, depths, and the places in them at which light is scattered.
 
-#![expect(clippy::needless_range_loop, reason = "loops over axes step through several arrays at once")]
-
 use super::bricks::{EDGE, EDGE_LOG, NONE};
 use super::cache::{Leaves, owners};
 use super::fine::{CELLS, Fine};
