@@ -97,7 +97,7 @@ pub fn look_into(sums: &Sums, inputs: &FitInputs<'_>, map: &mut LookMap) {
     solver::solve_into(Source::Sums(sums), inputs, map);
 }
 
-/// As [`look_into`] from recorded cycles that are all at hand, bit for bit, without sums of the whole image: a fifth of the time
+/// As [`look_into`] from recorded cycles that are all at hand, bit for bit, without sums of the whole image: a fifth less time
 /// from frames to map.
 ///
 /// # Errors
